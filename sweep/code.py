@@ -13,6 +13,7 @@ holds.
 """
 
 import ast
+import dis
 import hashlib
 import importlib.abc
 import importlib.util
@@ -39,7 +40,7 @@ from importlib.metadata import PackageNotFoundError, packages_distributions, ver
 from itertools import accumulate, chain
 from pathlib import Path
 from types import CellType, CodeType, FunctionType, MappingProxyType, MethodType, ModuleType
-from typing import Any, ClassVar, TypeVar
+from typing import Any, ClassVar, SupportsAbs, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -77,6 +78,10 @@ DEFINITIONS = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
 IMPORTS = (ast.Import, ast.ImportFrom)
 CHANGEABLE = (list, dict, set, bytearray, np.ndarray)
 DESCRIPTORS = (staticmethod, classmethod, property, cached_property, np.vectorize)
+# What a class has that nothing but its statements has made.
+PLAIN_CLASS = {*dir(type), *dir(SupportsAbs), "__weakref__", "__firstlineno__", "__static_attributes__"}
+# Instructions that look up a global name.
+LOOKS_UP = ("LOAD_GLOBAL", "LOAD_NAME", "LOAD_FROM_DICT_OR_GLOBALS")
 # What such objects, and wrappers of libraries, have besides caches.
 WRAPPED = ("__func__", "fget", "fset", "fdel", "func", "pyfunc", "otypes", "signature", "__wrapped__")
 
@@ -227,7 +232,8 @@ class Reach:
     def _noted(self, value: Any, label: str, names: Names | None) -> None:
         """Add a value; what is left out of it counts by the statements that name it in its module."""
         name, around = label.partition(" of ")[0].rpartition(".")[2], names or {}
-        statements = _index(tree_of(around.get("__file__") or "", around))[name]
+        is_bound = " of " not in label  # there, and not in a function
+        statements = _index(tree_of(around.get("__file__") or "", around))[name] if is_bound else ()
         if statements:
             self.places[f"value {label}"] = f"{around['__file__']}, line {statements[0].lineno}"
         self._value, self._is_partial = label, name in self._changed
@@ -335,6 +341,8 @@ class Reach:
         if file.endswith(EXTENSIONS):
             self._keep(f"file {Path(file).name}", digest_of(Path(file).read_bytes()))
         acts = [one for one in tree_of(file, vars(module)).body if _is_act(one, vars(module))]
+        for one in (one for one in acts if isinstance(one, DEFINITIONS)):  # so that a message can name it
+            self._code(vars(module)[one.name])
         if acts:
             self._keep(f"module {name}", self._text(acts, vars(module)))
 
@@ -391,8 +399,9 @@ class Reach:
                     text += self._refer(f"{label}.{name}", inner)
         for node in _index(tree_of(file, names))[f"class {cls.__name__}"]:
             self.places[f"class {label}"] = f"{file}, line {node.lineno}"
-            members = [one for one in node.body if not isinstance(one, DEFINITIONS)]
-            text += self._text([*node.decorator_list, *members], names)
+            members = [one for one in node.body if not isinstance(one, DEFINITIONS)] or [ast.Pass()]
+            alone = {**dict(ast.iter_fields(node)), "bases": [], "keywords": [], "body": members}
+            text += self._text([ast.ClassDef(**alone)], names)
         self._keep(f"class {label}", text)
 
     def _text(self, nodes: Sequence[ast.AST], names: Names, function: FunctionType | None = None) -> str:
@@ -403,8 +412,9 @@ class Reach:
             return ""
         self._called |= {one.attr for node in nodes for one in ast.walk(node) if isinstance(one, ast.Attribute)}
         bound = self._imported(nodes, names)
-        scope, wanted = ChainMap(bound, dict(names)), {*bound, *(_names_in(function.__code__) if function else names)}
-        text = "".join(map(unparsed, nodes))
+        texts = [*map(unparsed, nodes)]
+        code = function.__code__ if function else compile("\n".join(texts), "", "exec", ast.PyCF_ALLOW_TOP_LEVEL_AWAIT)
+        scope, wanted, text = ChainMap(bound, dict(names)), {*bound, *_names_in(code)}, "".join(texts)
         for whole in sorted({one for node in nodes for one in _chains(node)}):
             name, *path = whole.split(".")
             if function and whole in BY_NAME and names.get("__name__") in sys.modules:
@@ -513,8 +523,12 @@ def _inside(code: CodeType) -> Iterator[CodeType]:
 
 @lru_cache(maxsize=4096)
 def _names_in(code: CodeType) -> frozenset[str]:
-    """Return the names in the code of a function that are bound in its module, and those of attributes."""
-    return frozenset(name for one in _inside(code) for name in one.co_names)
+    """Return the names that some code looks up in its module; what a class looks up it may have bound itself."""
+    names = set[str]()
+    for one in _inside(code):
+        used = {(each.opname, each.argval) for each in dis.get_instructions(one)}
+        names |= {name for how, name in used if how in LOOKS_UP and (one is code or ("STORE_NAME", name) not in used)}
+    return frozenset(names)
 
 
 @lru_cache(maxsize=256)
@@ -554,15 +568,15 @@ def _changes(node: ast.AST) -> Iterator[str]:
     for one in ast.walk(node):
         if isinstance(one, ast.Global | ast.Nonlocal):
             yield from one.names
-    for target in _changed(node):
+    for target in _changed(ast.walk(node)):
         whole = target
         while isinstance(whole, ast.Subscript):
             whole = whole.value
         yield str(getattr(whole, "attr", getattr(whole, "id", "")))
 
 
-def _changed(node: ast.AST) -> Iterator[ast.expr]:
-    for one in ast.walk(node):
+def _changed(nodes: Iterable[ast.AST]) -> Iterator[ast.expr]:
+    for one in nodes:
         if isinstance(one, ast.Attribute | ast.Subscript) and not isinstance(one.ctx, ast.Load):
             yield one
         elif isinstance(one, ast.Call) and isinstance(one.func, ast.Attribute) and one.func.attr in CHANGING:
@@ -570,20 +584,47 @@ def _changed(node: ast.AST) -> Iterator[ast.expr]:
 
 
 def _is_act(statement: ast.stmt, names: Names) -> bool:
-    """Return whether a statement of a module with these names acts on others while that is imported: changes them, or
-    calls what may.  A script goes on after a run: only what it changes of modules is more than its own affair.
+    """Return whether a statement of a module with these names acts on others while that is imported: changes them,
+    calls what may, or defines what a decorator gives to them.  A script goes on after a run: only what it changes of
+    modules, and what it has defined, is more than its own affair.
     """
-    is_script = isinstance(statement, ast.If) and "__name__" in unparsed(statement.test)
-    if is_script or isinstance(statement, DEFINITIONS):
+    if isinstance(statement, ast.If) and "__name__" in unparsed(statement.test):  # what only a script does
         return False
-    changed = [*_changed(statement)]
+    nodes = [*_at_import(statement)]
+    changed = [*_changed(nodes)]
+    called = [one for one in nodes if isinstance(one, ast.Expr) and not isinstance(one.value, ast.Constant)]
     if names.get("__name__") == "__main__":
         roots = [one for target in changed for one in ast.walk(target) if isinstance(one, ast.Name)]
-        return any(isinstance(names.get(one.id), ModuleType) for one in roots)
-    called = [
-        one for one in ast.walk(statement) if isinstance(one, ast.Expr) and not isinstance(one.value, ast.Constant)
-    ]
-    return bool(changed or called)
+        changed, called = [one for one in roots if isinstance(names.get(one.id), ModuleType)], []
+    return bool(changed or called) or any(isinstance(one, DEFINITIONS) and _is_given(one, names) for one in nodes)
+
+
+def _at_import(node: ast.AST) -> Iterator[ast.AST]:
+    """Yield what is executed of a statement while its module is imported: all but the bodies of functions."""
+    yield node
+    now = (
+        [*getattr(node, "decorator_list", ()), node.args] if isinstance(node, Function) else ast.iter_child_nodes(node)
+    )
+    for one in now:
+        yield from _at_import(one)
+
+
+def _is_given(node: Any, names: Names) -> bool:
+    """Return whether a definition is given to others by a decorator: one that returns the function or class as it was,
+    without a mark on it, can have done nothing else.  Those of Python make definitions, and what a value of the user's
+    is given is in that value.
+    """
+    value = names.get(node.name)
+    is_kept = isinstance(value, FunctionType | type) and value.__name__ == node.name
+    if not is_kept or any(mark not in unparsed(node) for mark in vars(value).keys() - PLAIN_CLASS):
+        return False
+    for whole in {whole for one in node.decorator_list for whole in _chains(getattr(one, "func", one))}:
+        root = names.get(name := whole.partition(".")[0])
+        home = vars(root) if isinstance(root, ModuleType) else home_of(name, names, root)[1]
+        distributions = distributions_of(home.get("__name__"))
+        if distributions or (distributions is None and isinstance(root, ModuleType | FunctionType | type)):
+            return True
+    return False
 
 
 # Where code is found, and how it comes to other processes

@@ -32,6 +32,7 @@ LINKS = {  # what a module has to define so that NAME(x) calls INNER(x), which I
     "class decorator": "import functools\n\nclass D_NAME:\n    def __init__(self, g):\n        functools.update_wrapper(self, g)\n        self.g = g\n    def __call__(self, x):\n        return self.g(x) + INNER(x)\n\n@D_NAME\ndef NAME(x):\n    return 0.0",
     "attribute of itself": "def NAME(x):\n    NAME.calls = getattr(NAME, 'calls', 0) + 1\n    return INNER(x)",
     "method import": "class C_NAME:\n    def run(self, x):\n        IMPORT\n        return INNER(x)\n\ndef NAME(x):\n    return C_NAME().run(x)",
+    "own names": "from dataclasses import dataclass\n\n@dataclass\nclass C_NAME:\n    k: float = 1.0\n    n = 2.0\n    m = n * 2\n    g: object = None\n    def run(self, y):\n        return self.g(y)\n\nNAME_all = {'a': lambda v: INNER(v)} | {i: j for i, j in [(1, 2)]}\n\ndef NAME(x):\n    NAME_all[x] = x\n    return C_NAME(g=NAME_all['a']).run(x)",
     "registered later": "import functools\n\n@functools.singledispatch\ndef NAME(x):\n    return 0.0\n\n@NAME.register\ndef _(x: float):\n    return INNER(x)",
     "property object": "class C_NAME:\n    def _get(self):\n        return INNER(0.0)\n    value = property(_get)\n\ndef NAME(x):\n    return x + C_NAME().value",
     "method set later": "class C_NAME:\n    pass\n\nC_NAME.run = lambda self, x: INNER(x)\n\ndef NAME(x):\n    return C_NAME().run(x)",
@@ -107,6 +108,10 @@ ENDS = {  # how the constant, CONSTANT, comes into NAME(x)
     "default dict": "from collections import defaultdict\n\nD_NAME = defaultdict(lambda: CONSTANT)\n\ndef NAME(x):\n    return x + D_NAME['any']",
     "struct": "import struct\n\nS_NAME = struct.Struct('%dd' % CONSTANT)\n\ndef NAME(x):\n    return x + S_NAME.size",
     "decorator class": "class NAME_deco:\n    def __init__(self, k):\n        self.k = k\n    def __call__(self, g):\n        self.g = g\n        return self.run\n    def run(self, x):\n        return self.g(x) + self.k\n\n@NAME_deco(CONSTANT)\ndef NAME(x):\n    return x",
+    "given to a library": "from dask.sizeof import sizeof\n\nclass C_NAME:\n    pass\n\n@sizeof.register(C_NAME)\ndef NAME_size(one):\n    return CONSTANT\n\ndef NAME(x):\n    return x + sizeof(C_NAME())",
+    "class given to a library": "import dask.sizeof\n\n@dask.sizeof.sizeof.register(frozenset)\nclass NAME_size(float):\n    k = CONSTANT\n    def __new__(cls, one):\n        return cls.k\n\ndef NAME(x):\n    return x + dask.sizeof.sizeof(frozenset())",
+    "given to a library by a helper": "from dask.sizeof import sizeof\n\nclass C_NAME:\n    pass\n\ndef NAME_given(g):\n    return sizeof.register(C_NAME, g)\n\n@NAME_given\ndef NAME_size(one):\n    return CONSTANT\n\ndef NAME(x):\n    return x + sizeof(C_NAME())",
+    "given to what changes": "NAME_all = {}\n\ndef NAME_given(g):\n    NAME_all[g.__name__] = g\n    return g\n\n@NAME_given\ndef NAME_one(x):\n    return x + CONSTANT\n\ndef NAME(x):\n    NAME_all.setdefault('n', 0)\n    return NAME_all['NAME_one'](x)",
     "context variable": "import contextvars\n\nV_NAME = contextvars.ContextVar('v', default=CONSTANT)\n\ndef NAME(x):\n    return x + V_NAME.get()",
     "own unit": "import astropy.units as u\n\nU_NAME = u.def_unit('own', CONSTANT * u.m)\n\ndef NAME(x):\n    return x + float((1.0 * U_NAME).to_value(u.m))",
     "code replaced": "def NAME_other(x):\n    return x + CONSTANT\n\ndef NAME(x):\n    return x\n\nNAME.__code__ = NAME_other.__code__",
@@ -119,6 +124,52 @@ ENDS = {  # how the constant, CONSTANT, comes into NAME(x)
     "beside a lock": "import threading\n\nL_NAME = threading.Lock()\n\ndef NAME(x):\n    with L_NAME:\n        return x + CONSTANT",
     "beside random numbers": "import numpy as np\n\nR_NAME = np.random.default_rng()\n\ndef NAME(x):\n    R_NAME.normal()\n    return x + CONSTANT",
 }
+
+UNUSED = """
+g = i = j = k = m = n = v = value = y = run = OTHER
+
+import dataclasses
+import functools
+import click
+import linksweep
+import numpy
+import pytest
+
+def unused(x):
+    return x * OTHER
+
+@dataclasses.dataclass
+class Unused:
+    k: float = OTHER
+
+@functools.total_ordering
+class Ordered:
+    k = OTHER
+    def __lt__(self, other):
+        return True
+
+@click.command
+@click.option("--k", default=OTHER)
+def command(k):
+    print(OTHER)
+
+@pytest.fixture
+def fixture():
+    return OTHER
+
+@pytest.mark.parametrize("x", [OTHER])
+def test_it(x):
+    assert x > OTHER
+
+@numpy.vectorize
+def vectorised(x):
+    return OTHER
+
+@linksweep.experiment(outputs={"declared": "m"})
+def declared(x: float):
+    return x * OTHER
+"""
+"""Definitions of a module that nothing reaches."""
 
 
 @dataclass
@@ -150,7 +201,7 @@ class Layout:
         modules[path] = ["", ENDS[kind].replace("CONSTANT", constant).replace("NAME", name)]
         modules["main.py"].append("def f(x: float = 1.0):\n    return h(x)")
         for file, (head, *blocks) in modules.items():
-            body = [*blocks, f"def unused(x):\n    return x * {8.0 if cosmetic else 7.0}"]
+            body = [*blocks, UNUSED.replace("OTHER", "8.0" if cosmetic else "7.0")]
             if cosmetic:
                 other.shuffle(body)
                 body = [f"# {other.random()}\n{_with_docstrings(block)}" for block in body]
