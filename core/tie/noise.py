@@ -96,7 +96,7 @@ def noises(problem: Problem, jitter: Mapping[str, Mapping[str, Any]]) -> dict[st
     chosen = []
     for frame, table in enumerate(problem.tables):
         of_table, asked = f"{table}:" * bool(frame), jitter.get(table, {})
-        for kind in np.unique(kind_of_row[problem.rows.frame == frame]):
+        for kind in np.unique(kind_of_row[(problem.rows.frame == frame) & problem.rows.present.any(axis=0)]):
             size = asked.get(kind, asked.get(ALL, ESTIMATE if everywhere else None))
             at = (kind_of_row == kind) & (problem.rows.frame == frame)
             chosen += [(f"{of_table}{kind}", at, problem.rows.present.T)] if size == ESTIMATE else []
@@ -108,7 +108,9 @@ def noises(problem: Problem, jitter: Mapping[str, Mapping[str, Any]]) -> dict[st
         if (number := np.count_nonzero(at)) < FEWEST:
             rows = "sources" if kind == SATELLITE else f"rows of the kind {kind}"
             count = f"an estimate needs {FEWEST} {rows}, and there are {number}"
-            raise LinkError(f"jitter estimate: {count}; say how large it is, as in --jitter position=0.1")
+            of_kind = f"say how large it is, as in --jitter '{kind}=0.1'"
+            advice = "leave out estimate, which is of the satellite too" if kind == SATELLITE else of_kind
+            raise LinkError(f"jitter estimate: {count}; {advice}")
     wanted: dict[str, Flags] = {}
     for name, at, present in chosen:
         for quantity, which in QUANTITIES.items():

@@ -103,6 +103,8 @@ def _checked(one: Field[Any], value: Any) -> Any:
         return tuple(pairs)
     if joined or isinstance(value, PurePath):
         value = _text(value, joined)
+    if value == "none" and one.default in (None, ""):  # as results say it
+        return one.default
     if kind == "vector" and isinstance(value, str):
         numbers = [number(part) for part in value.split(",")]
         if "TABLE" in metavar and any(isinstance(one, str) for one in numbers):

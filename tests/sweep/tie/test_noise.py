@@ -1,14 +1,17 @@
 """Estimated noise against dense restricted likelihoods, closed forms and its coverage; errors of calibrators."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from astropy.table import Table
 from scipy import stats
 from scipy.linalg import block_diag, null_space
 from scipy.optimize import minimize
 
 import linksweep
+from linksweep import SweepError
 from linksweep.core.tie.astrometry import joined, propagated
 from linksweep.core.tie.forecast import Simulation
 from linksweep.core.tie.noise import estimated, noises
@@ -16,7 +19,7 @@ from linksweep.core.tie.problem import Problem, solve, source_sums
 from linksweep.core.unknowns import parse_unknowns
 from linksweep.sweep.tie.options import Options
 from linksweep.sweep.tie.setup import set_up
-from tests.core.tie.made import MAS, POSITION, gaia, noise, only, stars
+from tests.core.tie.made import MAS, POSITION, gaia, gaia_table, noise, only, stars
 from tests.sweep.tie.test_against_least_squares import drawn_tables, linked, pieces_of, turned
 from tests.tiers import slow
 
@@ -177,3 +180,22 @@ def test_rows_that_share_a_calibrator_share_its_error_also_in_draws(tmp_path, se
     draws = Simulation(problem, np.zeros(6)).draws(600, np.random.default_rng(1))
     found = np.array([solve(one.sums).estimate for one in draws])
     np.testing.assert_allclose(np.diag(np.cov(found.T)), np.diag(expected), rtol=0.25)
+
+
+def test_the_advice_for_a_kind_with_few_rows_works_and_what_results_say_is_an_option(tmp_path):
+    truth = stars(20)
+    noisy = replace(truth, values=truth.values + noise(np.random.default_rng(1), truth))
+    table = Table(gaia_table(noisy), masked=True)
+    for name in table.colnames[1:]:
+        table[name].mask[:4] = "pm" in name or "parallax" in name
+        table[name].mask[4] = name != "ref_epoch"  # a row of nothing
+    table.write(tmp_path / "reference.ecsv")
+    tables = gaia(tmp_path / "satellite.ecsv", stars(20)), tmp_path / "reference.ecsv"
+    with pytest.raises(SweepError) as refused:
+        linksweep.tie(*tables, "orientation", jitter="estimate")
+    advice = re.search("--jitter '(.+?)'", str(refused.value))[1]
+    assert advice == "single epoch=0.1"
+    link = linksweep.tie(*tables, "orientation", jitter=["estimate", advice], known_spin="none")
+    assert {name.partition(":")[0] for name in link.noise.values.tolist()} == {"five-parameter", "satellite"}
+    plain = linksweep.tie(*tables, "orientation")
+    assert linksweep.tie(*tables, "orientation", jitter=plain.attrs["jitter"]).identical(plain)
