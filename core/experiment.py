@@ -9,25 +9,35 @@ from linksweep.core.frames import Array
 from linksweep.core.parameters import OUTPUTS, PARAMETERS, SAMPLE_OUTPUTS, SHARED, UNITS
 from linksweep.core.scenario import catalogue_kind, catalogue_size, error_models, scenario, zonal_errors
 from linksweep.core.simulate import Streams, can_stack, simulate, simulate_stack
-from linksweep.core.unknowns import ALWAYS, GLIDE_LABELS, LABELS, ORIENTATION, SPIN, link_unknowns
+from linksweep.core.unknowns import ALWAYS, GLIDE, GLIDE_LABELS, LABELS, ORIENTATION, SPIN, link_unknowns
 from linksweep.sweep.contract import Experiment, Point, small_sample_factor
 
-MEANS = {"sigma_orientation": ORIENTATION, "sigma_spin": SPIN}
+ALL = (*LABELS, *GLIDE_LABELS)
+
+MEANS = (ORIENTATION, SPIN)
 """The blocks of unknowns whose mean variance is a result."""
 
+SIGMAS: Mapping[str, slice | int] = {
+    "sigma": ALWAYS,
+    "glide_sigma": GLIDE,
+    "sigma_orientation": len(ALL),
+    "sigma_spin": len(ALL) + 1,
+}
+"""Where the results stand among the unknowns and these means."""
+
 SUMS: Mapping[str, tuple[int, ...]] = {
-    "error": (len(LABELS),),
+    "error": (len(ALL),),
     "error_products": (len(LABELS), len(LABELS)),
-    "chi2": (),
-    "predicted_variance": (len(LABELS),),
-    "predicted_variance_squared": (len(LABELS) + len(MEANS),),
-    "predicted_bias": (len(LABELS),),
-    "predicted_bias_squares": (len(LABELS),),
-    "condition_number": (),
-    "glide_error": (len(GLIDE_LABELS),),
     "glide_squares": (len(GLIDE_LABELS),),
+    "chi2": (),
+    "predicted_variance": (len(ALL),),
+    "predicted_powers": (2, len(ALL) + len(MEANS)),
+    "predicted_square_variance": (len(ALL) + len(MEANS),),
+    "predicted_bias": (len(ALL),),
+    "predicted_bias_squares": (len(ALL),),
+    "condition_number": (),
     "n_obj": (),
-    "batch_mean_squares": (len(LABELS),),
+    "batch_mean_squares": (len(ALL),),
     "batches": (),
 }
 
@@ -74,51 +84,43 @@ def summarise(sums: Mapping[str, Array], n: Array, n_cat: Array) -> dict[str, Ar
     """Return every output of `OUTPUTS` from the sums over n realisations of n_cat catalogues, NaN for what is not
     determined.
 
-    Source: Metz & Geffert 2004, Sect. 4.1 (sigma is the RMS of estimate - truth); error of an RMS of normal errors
-    sigma/sqrt(2 n).
+    Source: Metz & Geffert 2004, Sect. 4.1 (sigma is the RMS of estimate - truth).
     """
     each = n[:, None]
     bias = sums["error"] / each
     undetermined = np.isnan(bias)  # of what is not measured; its other sums are zero, which would read as perfect
     # RMS about the truth, not about the mean: a bias is part of the error of a link
     second_moment = sums["error_products"] / each[..., None]
-    variance = np.where(undetermined, np.nan, np.einsum("...ii->...i", second_moment))
+    squares = np.concatenate([np.einsum("...ii->...i", second_moment), sums["glide_squares"] / each], axis=1)
+    variance = np.where(undetermined, np.nan, squares)
     predicted = np.where(undetermined, np.nan, sums["predicted_variance"] / each)
-    means = np.stack([predicted[:, part].mean(axis=1) for part in MEANS.values()], axis=1)
-    catalogue_error = _catalogue_error(
-        np.concatenate([predicted, means], axis=1), sums["predicted_variance_squared"] / each, n_cat
-    )
     total = predicted + sums["predicted_bias_squares"] / each
-    covariance = second_moment - bias[..., :, None] * bias[..., None, :]
+    covariance = second_moment - bias[:, ALWAYS, None] * bias[:, None, ALWAYS]
     n_obj = sums["n_obj"] / n
     # observables that are measured: positions, proper motions
     kinds = 2.0 - undetermined[:, [ORIENTATION.start, SPIN.start]].sum(axis=1)
-    solved = ORIENTATION.stop * kinds + np.where(np.isnan(sums["glide_error"][:, 0]), 0.0, len(GLIDE_LABELS))
     results = {
         "n_obj": n_obj,
-        "sigma": np.sqrt(variance),
-        "sigma_mc_error": np.sqrt(variance / (2.0 * each)),
-        "sigma_predicted": np.sqrt(predicted),
-        "sigma_rms_predicted": np.sqrt(total),
-        "sigma_catalogue_error": catalogue_error[:, ALWAYS],
-        "bias": bias,
-        "bias_predicted": np.where(undetermined, np.nan, sums["predicted_bias"] / each),
-        "bias_mc_error": _bias_error(sums, bias, variance, n, n_cat),
         "covariance": covariance,
         "correlation": _correlation(covariance),
         "condition_number": sums["condition_number"] / n,
         "chi2": sums["chi2"] / n,
-        "dof": 2.0 * kinds * n_obj - solved,
-        "glide_sigma": np.sqrt(sums["glide_squares"] / each),
-        "glide_bias": sums["glide_error"] / each,
+        "dof": 2.0 * kinds * n_obj - ORIENTATION.stop * kinds - np.where(undetermined[:, GLIDE.start], 0.0, 3.0),
     }
-    for which, (name, part) in enumerate(MEANS.items()):
-        mean_variance = variance[:, part].mean(axis=1)
-        results[name] = np.sqrt(mean_variance)
-        results[f"{name}_mc_error"] = np.sqrt(mean_variance / (2.0 * (part.stop - part.start) * n))
-        results[f"{name}_predicted"] = np.sqrt(means[:, which])
-        results[f"{name}_rms_predicted"] = np.sqrt(total[:, part].mean(axis=1))
-        results[f"{name}_catalogue_error"] = catalogue_error[:, ALWAYS.stop + which]
+    biases = {"": bias, "_mc_error": _bias_error(sums, bias, variance, n, n_cat)}
+    biases["_predicted"] = np.where(undetermined, np.nan, sums["predicted_bias"] / each)
+    for end, values in biases.items():
+        results |= {f"bias{end}": values[:, ALWAYS], f"glide_bias{end}": values[:, GLIDE]}
+    sigma, expected = np.sqrt(_with_means(variance)), _with_means(total)
+    sigmas = {
+        "": sigma,
+        "_mc_error": sigma * _relative_error(expected, sums["predicted_square_variance"] / each, each),
+        "_predicted": np.sqrt(_with_means(predicted)),
+        "_rms_predicted": np.sqrt(expected),
+        "_catalogue_error": _catalogue_error(expected, sums["predicted_powers"] / each[..., None], n_cat[:, None]),
+    }
+    for end, values in sigmas.items():
+        results |= {f"{name}{end}": values[:, part] for name, part in SIGMAS.items()}
     return results
 
 
@@ -141,6 +143,22 @@ def cost(point: Point) -> float:
 def _rows(sums: Sequence[Mapping[str, Array]]) -> dict[str, Array]:
     """Return sums by name as one array each, with a leading axis."""
     return {name: np.array([row[name] for row in sums]) for name in sums[0]}
+
+
+def _with_means(values: Array) -> Array:
+    """Return values of the unknowns with their means over orientation and over spin."""
+    return np.column_stack([values, *(values[:, part].mean(axis=1) for part in MEANS)])
+
+
+def _relative_error(expected: Array, variance: Array, n: Array) -> Array:
+    """Return the relative error of sqrt(mean of n squares) with these expected values and this mean ``variance``.
+
+    In the closed form, not from the realisations: few tell little of their fourth moments.  A single normal error has
+    1/sqrt(2 n), and so have components of which one dominates the others; for three that are alike it is 1/sqrt(6 n).
+    Biases, and catalogues of different quality, have their part.
+    """
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.where(expected > 0.0, np.sqrt(variance / n) / (2.0 * expected), 0.0 * expected)
 
 
 def _correlation(covariance: Array) -> Array:
@@ -176,16 +194,25 @@ def _bias_error(sums: Mapping[str, Array], bias: Array, variance: Array, n: Arra
         return np.sqrt(np.where(catalogues > 1.0, variance_of_mean, one_catalogue))
 
 
-def _catalogue_error(predicted: Array, squared: Array, n_cat: Array) -> Array:
-    """Return how uncertain sqrt(mean variance) is because only n_cat catalogues were drawn; NaN for too few."""
+def _catalogue_error(expected: Array, powers: Array, n_cat: Array) -> Array:
+    """Return how uncertain sqrt(mean square error) is because only n_cat catalogues were drawn; NaN for too few.
+
+    Few catalogues of a skewed law look too much alike: the error is enlarged as that of a mean of numbers, see
+    `linksweep.sweep.functions.statistics.statistic`.
+    """
+    squares, cubes = powers[:, 0], powers[:, 1]
+    variance = np.maximum(squares - expected**2, 0.0)
+    third = cubes - 3.0 * expected * squares + 2.0 * expected**3
     with np.errstate(invalid="ignore", divide="ignore"):
-        mean_square = (np.maximum(squared - predicted**2, 0.0).T * small_sample_factor(n_cat) / (n_cat - 1.0)).T
-        return np.where(predicted > 0.0, np.sqrt(mean_square) / (2.0 * np.sqrt(predicted)), 0.0 * predicted)
+        # squared, over their number, which is at most 1
+        skewness = np.where(variance > 0.0, np.minimum((third / variance**1.5) ** 2 / n_cat, 1.0), 0.0)
+        error = np.sqrt(variance / (n_cat - 1.0) * small_sample_factor(n_cat) * (1.0 + 6.0 * skewness))
+        return np.where(expected > 0.0, error / (2.0 * np.sqrt(expected)), 0.0 * expected)
 
 
 link = Experiment(
     name="link",
-    version=2,
+    version=3,
     parameters=PARAMETERS,
     sums=SUMS,
     outputs=OUTPUTS,
@@ -203,5 +230,5 @@ link = Experiment(
     outer_draw="catalogue",
     cost=cost,
     shared=SHARED,
-    nan_sums=("error", "batch_mean_squares", "glide_error", "glide_squares"),
+    nan_sums=("error", "batch_mean_squares"),
 )

@@ -288,11 +288,12 @@ class Field:
             if sigma > 0.0:
                 yield k, OBSERVABLES[k], sigma
 
-    def variance_through(self, gain: Array) -> Array:
-        """Return the variance of each unknown from these errors; ``gain`` (N, 4, K), result (K,)."""
+    def covariance_through(self, gain: Array) -> Array:
+        """Return the covariance of the unknowns from these errors; ``gain`` (N, 4, K), result (K, K)."""
         scatter = np.repeat(self.errors.scatter, 2)
         leaks = np.zeros((2, len(scatter), gain.shape[2]))
         for few, basis in self.bases(slice(None)):
             for k, observables, sigma in self.sizes():
                 leaks[k] += sigma * np.tensordot(basis, gain[few, observables], axes=((2, 1), (0, 1)))
-        return np.asarray(np.square(scatter[:, None] * leaks).sum(axis=(0, 1)))
+        leaks *= scatter[:, None]
+        return np.asarray(np.einsum("mnk,mnl->kl", leaks, leaks))

@@ -48,7 +48,7 @@ class FixedDesign:
     bias: Array  # (..., K)
     design_residual: Array  # a^T r, (..., K): zero for inverse-variance weights
     residual_squares: Array  # (...)
-    gain_squares: Array  # the variance of g^T z, (..., K)
+    gain_products: Array  # the covariance of g^T z, (..., K, K)
     condition_number: Array  # of A^T W A, (...)
 
     def begin(self, rows: int, drawn: Array | None, shared: SharedSums) -> Solved:
@@ -89,15 +89,15 @@ class FixedDesign:
         )
         return lambda: self.solved(*(total() for total in asked))
 
-    def predicted_variance(self) -> Array:
-        """Return the variance of each unknown; shape (..., K)."""
+    def predicted_covariance(self) -> Array:
+        """Return the covariance of the unknowns; shape (..., K, K)."""
         sides = self.setup.reference, self.setup.satellite
         if not any(sides):
-            return np.zeros_like(self.bias)
+            return np.zeros_like(self.normal)
         if all(side.as_weighed for side in sides):  # then it was computed with the gain, without a pass over objects
-            return self.gain_squares
+            return self.gain_products
         gain = self.columns[..., self.solving] @ self.inverse / self.setup.sigma[..., None]
-        return np.asarray(sum(side.variance_through(gain) for side in sides))
+        return np.asarray(sum(side.covariance_through(gain) for side in sides))
 
     @property
     def optimal(self) -> bool:
@@ -159,7 +159,7 @@ def _matrices(products: Array, design: slice, solving: slice, fixed: slice) -> t
         # a^T r of the optimal weights is zero but for rounding, which chi2 would multiply
         np.zeros_like(bias) if solving == design else design_residual,
         np.maximum(0.0, products[..., -1, -1] - np.vecdot(bias, design_misclosure + design_residual)),
-        np.einsum("...ki,...ij,...jk->...k", inverse, products[..., solving, solving], inverse),
+        np.einsum("...ki,...ij,...jl->...kl", inverse, products[..., solving, solving], inverse),
         condition_number,
     )
 
@@ -248,7 +248,7 @@ def neglected(design: FixedDesign) -> Array:
     setup, unknowns = design.setup, len(design.bias)
     if not setup.reference:
         return np.zeros(unknowns)
-    predicted = design.predicted_variance()
+    predicted = np.diag(design.predicted_covariance())
     # E x^2 of orientation, spin and glide
     size = 2.0 * np.square(np.abs(setup.truth) + np.abs(design.bias)) + 6.0 * predicted
     blocks = len(link_unknowns(setup.scenario.solve_glide).blocks)

@@ -200,7 +200,7 @@ def _with_errors(
 ) -> list[Output]:
     prediction = f"closed-form prediction of {name} for the same catalogues"
     beside = {
-        "mc_error": f"Monte-Carlo error of {name}, sigma/sqrt(2 n)",
+        "mc_error": f"Monte-Carlo error of {name} for these catalogues",
         "predicted": f"{prediction}, from the errors alone, without the bias",
         "rms_predicted": f"{prediction}, from errors and bias together",
         "catalogue_error": f"error of {name} as the mean over all possible catalogues; NaN for n_cat below 5",
@@ -211,6 +211,15 @@ def _with_errors(
     ]
 
 
+def _bias(name: str, unit: str, meaning: str, dims: tuple[str, ...]) -> list[Output]:
+    beside = {
+        "": meaning,
+        "_predicted": f"closed-form prediction of {name} for the same catalogues",
+        "_mc_error": f"Monte-Carlo error of {name}; NaN for 2 to 4 catalogues",
+    }
+    return [Output(f"{name}{end}", unit, text, dims, nan=True) for end, text in beside.items()]
+
+
 OUTPUTS = (
     Output("n_obj", "", "number of objects in the catalogue (mean over catalogues)", (), True, r"$N_\mathrm{obj}$"),
     *_with_errors("sigma_spin", PM, "RMS error of the spin, over its components", (), True, r"$\sigma(\omega)$"),
@@ -219,16 +228,14 @@ OUTPUTS = (
         *((), False, r"$\sigma(\epsilon)$"),
     ),
     *_with_errors("sigma", _EACH, "RMS of estimate - truth", _COMPONENT),
-    Output("bias", _EACH, "mean of estimate - truth", _COMPONENT, nan=True),
-    Output("bias_predicted", _EACH, "closed-form prediction of bias for the same catalogues", _COMPONENT, nan=True),
-    Output("bias_mc_error", _EACH, "Monte-Carlo error of bias; NaN for 2 to 4 catalogues", _COMPONENT, nan=True),
+    *_bias("bias", _EACH, "mean of estimate - truth", _COMPONENT),
     Output("covariance", _PRODUCTS, "covariance of the estimates about their mean", _PAIR, nan=True),
     Output("correlation", "", "correlation of the estimates about their mean", _PAIR, nan=True),
     Output("condition_number", "", "condition of the normal matrix scaled to a diagonal of 1 (mean over catalogues)"),
     Output("chi2", "", "mean chi2 of the solution; dof if weights are those of uncorrelated errors"),
     Output("dof", "", "degrees of freedom of chi2 (mean over catalogues)"),
-    Output("glide_sigma", PM, "RMS of estimate - truth of a glide that was solved for", _GLIDE, nan=True),
-    Output("glide_bias", PM, "mean of estimate - truth of a glide that was solved for", _GLIDE, nan=True),
+    *_with_errors("glide_sigma", PM, "RMS of estimate - truth of a glide that was solved for", _GLIDE),
+    *_bias("glide_bias", PM, "mean of estimate - truth of a glide that was solved for", _GLIDE),
 )
 
 SAMPLE_OUTPUTS = (

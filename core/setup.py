@@ -210,13 +210,13 @@ class Noise:
         """Return errors in units of their sigma from the unit normals (m, 4, rows) of the objects from ``start`` on."""
         return normals if self.factor is None else self.factor[start : start + len(normals)] @ normals
 
-    def variance_through(self, gain: Array) -> Array:
-        """Return the variance of each unknown from these errors; ``gain`` (N, 4, K), result (K,)."""
+    def covariance_through(self, gain: Array) -> Array:
+        """Return the covariance of the unknowns from these errors; ``gain`` (N, 4, K), result (K, K)."""
         scaled = self.sigma[..., None] * gain  # L^T D g: its square is g^T D R D g
         if self.factor is not None:
             scaled = np.swapaxes(self.factor, 1, 2) @ scaled
-        variance = np.asarray(np.einsum("nik,nik->k", scaled, scaled))
-        return variance if self.field is None else variance + self.field.variance_through(gain)
+        covariance = np.asarray(np.einsum("nik,nil->kl", scaled, scaled))
+        return covariance if self.field is None else covariance + self.field.covariance_through(gain)
 
 
 @dataclass(frozen=True)

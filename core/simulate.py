@@ -14,7 +14,7 @@ from linksweep.core.link import LinkError
 from linksweep.core.noisy_design import NoisyDesign
 from linksweep.core.scenario import Scenario
 from linksweep.core.setup import ROWS, Prefixes, SharedSums, prepare, tiles
-from linksweep.core.unknowns import ALWAYS, GLIDE, GLIDE_LABELS, ORIENTATION, SPIN
+from linksweep.core.unknowns import ALWAYS, GLIDE, ORIENTATION, SPIN
 
 Streams = tuple[np.random.Generator, np.random.Generator]
 """The generators of the errors of a catalogue and of the catalogue itself."""
@@ -22,13 +22,15 @@ Streams = tuple[np.random.Generator, np.random.Generator]
 Sums = dict[str, Array]
 """Sums over realisations by name, for the K = 6 unknowns orientation (mas) and spin (mas/yr).
 
-``error`` (K,) and ``error_products`` (K, K) of estimate - truth, ``batch_mean_squares`` (K,), the square of error over
-n_sim, and ``batches``, which is 1; ``chi2``; ``glide_error`` and ``glide_squares`` (3,) of a glide that is solved for,
-else NaN. Counted once per realisation of the catalogue: the closed form's ``predicted_variance`` (K,) and the squares
-of it and of its means over orientation and over spin (K + 2,), its ``predicted_bias`` (K,) and the squares of that, the
+``error`` (K + 3,) of estimate - truth of these and of a glide, ``error_products`` (K, K) and ``glide_squares`` (3,),
+``batch_mean_squares`` (K + 3,), the square of error over n_sim, and ``batches``, which is 1; ``chi2``.  Counted once
+per realisation of the catalogue: the closed form's ``predicted_variance`` (K + 3,), its ``predicted_bias`` and the
+squares of that; of the mean square error of each unknown, and of its means over orientation and over spin, the squares
+and cubes, ``predicted_powers`` (2, K + 5), and the variance of one realisation, ``predicted_square_variance``; the
 ``condition_number`` of the normal matrix and ``n_obj``.  ``estimate`` are the realisations themselves, where they are
 kept: (n_sim, K), or (n_sim, K + 3) with a glide. Errors and estimates are NaN for unknowns that no measured observable
-determines; their other sums are zero. For a stack of catalogues all arrays have a leading axis.
+determines, or that are not solved for; their other sums are zero. For a stack of catalogues all arrays have a leading
+axis.
 """
 
 
@@ -118,7 +120,7 @@ class _Point:
         setup = design.setup
         unknowns = len(setup.truth)
         self.setup, self.n_sim, self.design = setup, n_sim, design
-        self.variance = design.predicted_variance() / MAS**2
+        self.covariance = design.predicted_covariance() / MAS**2
         self.path: FixedDesign | NoisyDesign | Projected = design
         if setup.scenario.method == "projected":
             self.path = Projected(design)
@@ -160,31 +162,40 @@ class _Point:
         stack, n_sim, fixed = self.setup.stack, self.n_sim, self.setup.fixed
         error, products = self.error / MAS, self.products / MAS**2
         error[..., fixed] = np.nan  # they stayed at the truth, which is no result
-        variance, bias = self.variance[..., ALWAYS], (self.design.bias / MAS)[..., ALWAYS]
-        means = np.stack([variance[..., part].sum(axis=-1) / 3 for part in (ORIENTATION, SPIN)], axis=-1)
-        glide = squares = np.full((*stack, len(GLIDE_LABELS)), np.nan)
-        if self.setup.scenario.solve_glide:
-            glide = error[..., GLIDE]
-            squares = np.where(np.isnan(glide), np.nan, np.einsum("...ii->...i", products)[..., GLIDE])
+        bias, covariance = self.design.bias / MAS, self.covariance
+        variance = np.einsum("...kk->...k", covariance)
+        mean_squares = variance + np.square(bias)
+        # x_k^2 and x_l^2 of normal x with the mean b and the covariance V have the covariance 2 V_kl (V_kl + 2 b_k b_l)
+        # (Isserlis 1918, Biometrika 12, 134)
+        of_squares = 2.0 * covariance * (covariance + 2.0 * bias[..., :, None] * bias[..., None, :])
+        parts = ORIENTATION, SPIN
+        means = [mean_squares[..., part].sum(axis=-1) / 3 for part in parts]
+        of_means = [of_squares[..., part, part].sum(axis=(-2, -1)) / 9 for part in parts]
+        whole = self._whole(mean_squares, means=means)
         sums = {
-            "error": error[..., ALWAYS],
+            "error": self._whole(error, np.nan),
             "error_products": products[..., ALWAYS, ALWAYS],
+            "glide_squares": self._whole(np.einsum("...kk->...k", products))[..., GLIDE],
             "chi2": self.chi2,
-            "predicted_variance": n_sim * variance,
-            "predicted_variance_squared": n_sim * np.square(np.concatenate([variance, means], axis=-1)),
-            "predicted_bias": n_sim * bias,
-            "predicted_bias_squares": n_sim * np.square(bias),
+            "predicted_variance": n_sim * self._whole(variance),
+            "predicted_powers": n_sim * np.stack([whole**2, whole**3], axis=-2),
+            "predicted_square_variance": n_sim * self._whole(np.einsum("...kk->...k", of_squares), means=of_means),
+            "predicted_bias": n_sim * self._whole(bias),
+            "predicted_bias_squares": n_sim * self._whole(np.square(bias)),
             "condition_number": n_sim * self.design.condition_number,
-            "glide_error": glide,
-            "glide_squares": squares,
             "n_obj": np.full(stack, float(n_sim * self.setup.n_obj)),
-            "batch_mean_squares": np.square(error[..., ALWAYS]) / n_sim,
+            "batch_mean_squares": np.square(self._whole(error, np.nan)) / n_sim,
             "batches": np.ones(stack),
         }
         if self.kept is not None:
             sums["estimate"] = np.concatenate(self.kept)
             sums["estimate"][:, fixed] = np.nan
         return sums
+
+    def _whole(self, values: Array, missing: float = 0.0, means: Sequence[Array] = ()) -> Array:
+        """Return values with something for a glide that is not solved for, and with their means."""
+        glide = np.full((*self.setup.stack, GLIDE.stop - values.shape[-1]), missing)
+        return np.concatenate([values, glide, *(mean[..., None] for mean in means)], axis=-1)
 
 
 def _draws(

@@ -1,6 +1,5 @@
 """The errors of the link's results cover: over independent copies (value - truth) / error scatters by one."""
 
-import functools
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -10,51 +9,61 @@ import pytest
 import linksweep
 from tests.core.points import CALIBRATED, calibrate
 from tests.sweep.test_coverage import assert_covers
+from tests.tiers import slow
 
-pytestmark = pytest.mark.slow
+QUASARS = {"catalogue": "quasars", "v_max": 14.0, "model": "gaia", "method": "projected"}
+EQUAL = {"satellite_errors": "normal", "n_obj": 30}
+LEAK = {**EQUAL, "satellite_sigma_pm": 0.02, "motion_field": "t_2_0", "motion_field_size": 0.5}
+GLIDE = {"aberration": True, "glide": [300.0, 500.0, 0.0], "sky_contrast": 0.8}
+NOISY = {**EQUAL, "reference_errors": "normal", "mean_pm": 300.0}
+LINKS = {
+    "quasars": QUASARS,
+    "aberration": {**QUASARS, "aberration": True},
+    "three-objects": {**EQUAL, "n_obj": 3},
+    "poor-geometry": {**EQUAL, "zone_of_avoidance": 80.0, "method": "projected"},
+    "radio-stars": {"catalogue": "radio-stars", "reference_errors": "catalogue", "n_obj": 10},
+    "noisy": NOISY,
+    "equal-weights": {"n_obj": 40, "weighting": "equal", "v_min": 8.0, "v_max": 16.0},
+    "zonal": {**EQUAL, "zonal_pm": 0.5, "zonal_pos": 0.5, "zonal_length": 60.0},
+    "underestimated": {**EQUAL, "satellite_error_ratio": 2.0},
+    "leak": LEAK,
+    "slope": {**NOISY, "omega_slope": [0.0, 0.0, 0.2]},
+    "leak-into-a-glide": {**LEAK, "solve_glide": True, "satellite_sigma_pm": 1.0},
+    "glide": {**EQUAL, **GLIDE},
+}
+ONE = [("quasars", 1, 64), ("quasars", 1, 2048), ("poor-geometry", 1, 512), ("slope", 1, 128), ("leak", 1, 128)]
+SEVERAL = [("quasars", n_cat, 64) for n_cat in (2, 5, 12)] + [("aberration", 5, 64), ("aberration", 12, 1024)]
+MORE = [("three-objects", 100, 64), ("glide", 8, 64), ("leak", 24, 1)]
+OTHERS = [(case, 12, 64) for case in LINKS if case not in ("quasars", "three-objects", "poor-geometry", "glide")]
 
 
-@functools.cache
-def copies(n_cat, n_sim, aberration=False):
-    """Return results of copies that differ in nothing but their random numbers."""
-    quasars = {"catalogue": "quasars", "v_max": 14.0, "model": "gaia", "method": "projected", "aberration": aberration}
-    sampling = {"n_sim": n_sim, "n_cat": n_cat, "seed": 3}
+@pytest.mark.parametrize(
+    ("case", "n_cat", "n_sim"), [("leak", 20, 8), *(slow(*one) for one in ONE + SEVERAL + MORE + OTHERS)]
+)
+def test_every_error_of_a_link(case, n_cat, n_sim):
+    """That of realisations holds the catalogues fixed, that of their choice their prediction, and both make up all."""
     axes = {"error_scale": [1.0 + 1e-9 * k for k in range(150)]}
-    study = {"title": "Copies", "axes": axes, "fixed": quasars, "sampling": sampling}
+    sampling = {"n_sim": n_sim, "n_cat": n_cat, "seed": 3}
+    study = {"title": "Copies", "axes": axes, "fixed": LINKS[case], "sampling": sampling}
     with TemporaryDirectory() as folder:
-        return linksweep.run(study, Path(folder) / "s.zarr", pool="serial")
-
-
-@pytest.mark.parametrize(("n_cat", "n_sim"), [(12, 64), (2, 64)])
-def test_the_error_of_sigma_holds_the_catalogues_fixed(n_cat, n_sim):
-    dataset = copies(n_cat, n_sim)
-    for name in ("sigma", "sigma_spin", "sigma_orientation"):
-        assert_covers((dataset[name] - dataset[f"{name}_predicted"]) / dataset[f"{name}_mc_error"])
-
-
-@pytest.mark.parametrize("n_cat", [5, 12])
-def test_the_error_of_the_choice_of_catalogues(n_cat):
-    dataset = copies(n_cat, 64)
-    for name in ("sigma", "sigma_spin", "sigma_orientation"):
+        dataset = linksweep.run(study, Path(folder) / "s.zarr", pool="serial").load()
+    glide = ("glide_sigma",) if "solve_glide" in LINKS[case] else ()
+    for name in ("sigma", "sigma_spin", "sigma_orientation", *glide):
+        value, by_chance, predicted = (dataset[f"{name}{end}"] for end in ("", "_mc_error", "_rms_predicted"))
+        assert_covers((value - predicted) / by_chance)
+        if n_cat >= 5:
+            truth, of_catalogues = np.sqrt(np.mean(predicted**2, axis=0)), dataset[f"{name}_catalogue_error"]
+            assert_covers((predicted - truth) / of_catalogues, dof=n_cat - 1)
+            assert_covers((value - truth) / np.hypot(by_chance, of_catalogues), dof=n_cat - 1)
+    for name in ("bias", "glide_bias")[: 1 + len(glide)]:
         predicted = dataset[f"{name}_predicted"]
-        truth = np.sqrt(np.mean(copies(12, 64)[f"{name}_predicted"] ** 2, axis=0))
-        assert_covers((predicted - truth) / dataset[f"{name}_catalogue_error"], dof=n_cat - 1)
+        if n_cat == 1:
+            assert_covers((dataset[name] - predicted) / dataset[f"{name}_mc_error"])
+        if n_cat >= 5:
+            assert_covers((dataset[name] - predicted.mean("error_scale")) / dataset[f"{name}_mc_error"], dof=n_cat - 1)
 
 
-@pytest.mark.parametrize(("n_cat", "n_sim"), [(5, 64), (12, 64), (12, 1024)])
-def test_the_error_of_a_bias_that_catalogues_have(n_cat, n_sim):
-    """Galactic aberration that is not corrected: every catalogue has a bias of its own, and 1024 are two blocks."""
-    dataset = copies(n_cat, n_sim, aberration=True).sel(component=["omega_x", "omega_y", "omega_z"])
-    truth = dataset["bias"].mean("error_scale")
-    assert_covers((dataset["bias"] - truth) / dataset["bias_mc_error"], dof=n_cat - 1)
-
-
-def test_the_error_of_a_bias_that_is_none():
-    for n_cat, n_sim in ((1, 64), (1, 2048), (12, 64)):
-        dataset = copies(n_cat, n_sim)
-        assert_covers(dataset["bias"] / dataset["bias_mc_error"], dof=np.inf if n_cat == 1 else n_cat - 1)
-
-
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["gaia", "amex"])
 def test_the_errors_of_the_calibration(model):
     """Published numbers made from known constants with the errors that weigh them; chi2 above one only widens these."""

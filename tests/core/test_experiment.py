@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
+from scipy import stats
 
 from tests.core import points
 from tests.core.points import CatalogueErrors, NormalErrors, OwnErrors, experiment, generators, link, point, scenario
@@ -24,7 +25,7 @@ def test_samples_are_the_estimates_that_evaluate_adds_up(changes):
     error = estimates - np.array([[*p["epsilon"], *p["omega"]] for p in both])[:, None]
     products = np.einsum("pni,pnj->pij", error, error)
     tolerance = {"rtol": 0, "atol": 1e-12 * n_sim * np.max(np.abs(error)) ** 2}
-    np.testing.assert_allclose(error.sum(axis=1), sums["error"], **tolerance)
+    np.testing.assert_allclose(error.sum(axis=1), sums["error"][:, :6], **tolerance)
     np.testing.assert_allclose(products, sums["error_products"], **tolerance)
 
 
@@ -50,39 +51,46 @@ def test_summarise_against_direct_formulas(solve_glide):
     sums = {name: sum(block[name] for block in blocks) for name in link.sums}
     results = {k: v[0] for k, v in link.summarise(sums, np.array([40.0]), np.array([5.0])).items()}
     error = np.array([block["error"][0] for block in blocks])
+    assert np.all(np.isnan(error[:, 6:]) == (not solve_glide))
+    error = np.nan_to_num(error)
     predicted = np.array([block["predicted_variance"][0] for block in blocks])
     predicted_bias = np.array([block["predicted_bias"][0] for block in blocks])
     total = predicted + predicted_bias**2
-    sigma = np.sqrt(np.mean(error**2, axis=0))
 
     expected = {
         "n_obj": 12.0,
         "dof": 4 * 12 - (9 if solve_glide else 6),
         "chi2": np.mean([block["chi2"][0] for block in blocks]),
-        "bias": error.mean(axis=0),
-        "bias_mc_error": np.sqrt(2 * error.var(axis=0) / 4),  # each realisation a batch, so that each counts
-        "sigma": sigma,
-        "sigma_mc_error": sigma / np.sqrt(2 * 40),
-        "sigma_predicted": np.sqrt(predicted.mean(axis=0)),
-        "covariance": np.cov(error.T, bias=True),
-        "correlation": np.corrcoef(error.T),
+        "covariance": np.cov(error[:, :6].T, bias=True),
+        "correlation": np.corrcoef(error[:, :6].T),
         "condition_number": np.mean([block["condition_number"][0] for block in blocks]),
-        "bias_predicted": predicted_bias.mean(axis=0),
-        "sigma_rms_predicted": np.sqrt(total.mean(axis=0)),
     }
-    by_catalogue = predicted[::n_sim]
-    error_of_mean = np.sqrt(2) * by_catalogue.std(axis=0, ddof=1) / np.sqrt(n_cat)  # (n_cat - 1)/(n_cat - 3) = 2
-    expected["sigma_catalogue_error"] = error_of_mean / (2 * expected["sigma_predicted"])
-    for name, part in (("sigma_orientation", slice(0, 3)), ("sigma_spin", slice(3, 6))):
-        error_of_mean = np.sqrt(2) * by_catalogue[:, part].mean(axis=1).std(ddof=1) / np.sqrt(n_cat)
-        expected[name] = np.sqrt(np.mean(error[:, part] ** 2))
-        expected[f"{name}_mc_error"] = expected[name] / np.sqrt(2 * 3 * 40)
-        expected[f"{name}_predicted"] = np.sqrt(predicted[:, part].mean())
-        expected[f"{name}_rms_predicted"] = np.sqrt(total[:, part].mean())
-        expected[f"{name}_catalogue_error"] = error_of_mean / (2 * expected[f"{name}_predicted"])
-    glide = np.array([block["glide_error"][0] for block in blocks])
-    expected |= {"glide_bias": glide.mean(axis=0), "glide_sigma": np.sqrt(np.mean(glide**2, axis=0))}
-    assert np.all(np.isnan(glide)) == (not solve_glide)
+    of_squares = np.mean([block["predicted_square_variance"][0] for block in blocks], axis=0)
+    parts = {"sigma": np.eye(9)[:6], "glide_sigma": np.eye(9)[6:]}
+    parts |= {"sigma_orientation": np.eye(9)[:3].mean(axis=0), "sigma_spin": np.eye(9)[3:6].mean(axis=0)}
+    of = {"sigma": of_squares[:6], "glide_sigma": of_squares[6:9]}
+    of |= {"sigma_orientation": of_squares[9], "sigma_spin": of_squares[10]}
+    for name, weights in parts.items():
+        if name == "glide_sigma" and not solve_glide:
+            expected |= {name: np.full(3, np.nan) for name in results if name.startswith("glide")}
+            continue
+        sigma, whole = np.sqrt(weights @ np.mean(error**2, axis=0)), np.sqrt(weights @ np.mean(total, axis=0))
+        by_catalogue = weights @ total[::n_sim].T
+        # (n_cat - 1)/(n_cat - 3) = 2, and more where they are skewed
+        widened = 2 * (1 + 6 * stats.skew(by_catalogue, axis=-1) ** 2 / n_cat)
+        error_of_mean = np.sqrt(widened / n_cat) * by_catalogue.std(axis=-1, ddof=1)
+        expected |= {
+            name: sigma,
+            f"{name}_mc_error": sigma * np.sqrt(of[name] / 40) / (2 * whole**2),
+            f"{name}_predicted": np.sqrt(weights @ predicted.mean(axis=0)),
+            f"{name}_rms_predicted": whole,
+            f"{name}_catalogue_error": error_of_mean / (2 * whole),
+        }
+    for name, part in (("bias", slice(0, 6)), ("glide_bias", slice(6, 9)))[: 1 + solve_glide]:
+        expected[name] = error.mean(axis=0)[part]
+        expected[f"{name}_predicted"] = predicted_bias.mean(axis=0)[part]
+        # each realisation is a batch, so that each counts
+        expected[f"{name}_mc_error"] = np.sqrt(2 * error.var(axis=0) / 4)[part]
     for name, value in results.items():  # every one has its formula above
         np.testing.assert_allclose(value, expected[name], rtol=1e-7, atol=1e-12, err_msg=name)
 
@@ -113,8 +121,8 @@ def test_catalogue_error_is_unknown_for_one_catalogue_and_zero_without_errors():
         assert np.all(np.isnan(few["sigma_catalogue_error"]))
         assert np.all(np.isnan(few["bias_mc_error"]))
     perfect = points.evaluated(10, point(satellite_errors="none"))
-    results = link.summarise(perfect, np.array([10.0]), np.ones(1))
-    np.testing.assert_array_equal(results["sigma_catalogue_error"], 0.0)
+    results = link.summarise(perfect, np.array([10.0]), np.array([5.0]))
+    assert np.all(results["sigma_catalogue_error"] < 1e-12)
     np.testing.assert_array_equal(results["sigma_spin_predicted"], 0.0)
 
 

@@ -231,7 +231,7 @@ def test_the_closed_form_is_that_of_the_link(weighting):
     )["predicted_variance"]
     variance = calibrate.spin_variance(skies, MISSIONS["amex"].curve_pm_mas_yr, weighting)
     assert variance.shape == (2, 1)
-    assert variance[1, 0] == pytest.approx(np.mean(predicted[3:]), rel=1e-9)
+    assert variance[1, 0] == pytest.approx(np.mean(predicted[3:6]), rel=1e-9)
 
 
 @pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])

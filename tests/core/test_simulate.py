@@ -62,13 +62,13 @@ def errors(model, normals, catalogue):
 
 
 def predicted(physics, catalogue):
-    """The variances of the estimates, G Sigma G^T with the whole covariance of both sides."""
+    """The covariance of the estimates, G Sigma G^T with the whole covariance of both sides."""
     design = design_matrix(
         *(catalogue.ra, catalogue.dec, catalogue.pmra, catalogue.pmdec), physics.corrections, physics.solve_glide
     )
     gain = solve(design, np.zeros(design.shape[:2]), set_up(catalogue, physics).sigma.T, physics.weighting).gain
     both = covariances(physics.reference_errors, catalogue) + covariances(physics.satellite_errors, catalogue)
-    return np.einsum("kin,nij,kjn->k", gain, both, gain)[:6]
+    return np.einsum("kin,nij,ljn->kl", gain, both, gain) / MAS**2
 
 
 @pytest.mark.parametrize(
@@ -87,16 +87,23 @@ def test_equals_the_plain_loop(weighting, reference, n_obj, n_sim, corrections, 
     solutions, found = zip(*one_by_one(physics, n_sim), strict=True)
     error, sigma = np.array(found) / MAS, solutions[0].formal_error / MAS
     near, products = 1e-9 * n_sim * sigma, error.T @ error
-    assert np.all(np.abs(sums["error"] - error.sum(axis=0)[:6]) < near[:6])
+    kept = slice(0, error.shape[1])
+    assert np.all(np.abs(sums["error"][kept] - error.sum(axis=0)) < near)
     assert np.all(np.abs(sums["error_products"] - products[:6, :6]) < np.outer(near, sigma)[:6, :6])
+    assert np.all(np.isnan(sums["error"][kept.stop :]))
     if solve_glide:
-        assert np.all(np.abs(sums["glide_error"] - error.sum(axis=0)[6:]) < near[6:])
         assert np.all(np.abs(sums["glide_squares"] - np.diag(products)[6:]) < (near * sigma)[6:])
     assert sums["chi2"] == pytest.approx(sum(s.chi2 for s in solutions), rel=1e-9)
-    variance = predicted(physics, physics.draw_catalogue(np.random.default_rng(2))) / MAS**2
-    np.testing.assert_allclose(sums["predicted_variance"], n_sim * variance, rtol=1e-9)
-    squares = n_sim * np.square([*variance, np.mean(variance[:3]), np.mean(variance[3:])])
-    np.testing.assert_allclose(sums["predicted_variance_squared"], squares, rtol=1e-9)
+    covariance = predicted(physics, physics.draw_catalogue(np.random.default_rng(2)))
+    bias = sums["predicted_bias"][kept] / n_sim
+    np.testing.assert_allclose(sums["predicted_variance"][kept], n_sim * np.diag(covariance), rtol=1e-9)
+    orientation, spin = np.eye(9)[:3].mean(axis=0), np.eye(9)[3:6].mean(axis=0)
+    for k, weights in enumerate([*np.eye(9), orientation, spin]):  # moments of x^T W x, x normal
+        w = np.diag(weights[kept])
+        mean, of_squares = np.trace(w @ covariance) + bias @ w @ bias, w @ covariance @ w
+        variance = 2.0 * np.trace(of_squares @ covariance) + 4.0 * bias @ of_squares @ bias
+        np.testing.assert_allclose(sums["predicted_square_variance"][k], n_sim * variance, rtol=1e-9)
+        np.testing.assert_allclose(sums["predicted_powers"][:, k], n_sim * mean ** np.array([2, 3]), rtol=1e-9)
     assert sums["n_obj"] == n_sim * n_obj
 
 
@@ -141,7 +148,8 @@ def test_equals_the_svd_of_each_realisation(seed, n_obj, sigma_mas, motion_mas, 
     size = np.abs(truth) * 1e-15  # what the sum with the truth rounds away
     assert np.all(np.abs(error - each) < 1e-9 * formal + size)
     assert sums["chi2"] == pytest.approx(sum(s.chi2 for s in solutions), rel=1e-9)
-    np.testing.assert_allclose(sums["predicted_variance"], 3.0 * predicted(physics, objects) / MAS**2, rtol=1e-7)
+    variance = np.diag(predicted(physics, objects))
+    np.testing.assert_allclose(sums["predicted_variance"][: len(variance)], 3.0 * variance, rtol=1e-7)
 
 
 def test_an_object_that_its_error_carries_over_the_pole_is_named():
@@ -231,7 +239,7 @@ def test_what_is_neglected_is_bounded(changes):
     physics = physics_of(**TWELVE | arcsec | changes)
     setup = set_up(physics.draw_catalogue(np.random.default_rng(2)), physics)
     design, n_sim, rng = points.design_of(setup), 200, np.random.default_rng(5)
-    sigma = np.sqrt(design.predicted_variance())
+    sigma = np.sqrt(np.diag(design.predicted_covariance()))
     whole, fixed = [], []
     for _ in range(n_sim):
         errors = [side.sigma.T * rng.standard_normal(side.sigma.T.shape) for side in (setup.reference, setup.satellite)]
@@ -255,7 +263,7 @@ def test_errors_of_an_arcsecond_may_be_projected_and_much_larger_ones_not():
         one = points.point(n_obj=300, method="projected", **errors)
         assert (points.link.check(one) is None) == fits
         if fits:
-            assert np.all(np.isfinite(run(points.scenario(one), 2)["error"]))
+            assert np.all(np.isfinite(run(points.scenario(one), 2)["estimate"]))
         else:
             with pytest.raises(LinkError, match=r"would neglect .* of sigma"):
                 run(points.scenario(one), 2)

@@ -133,8 +133,8 @@ def test_quasars_at_a_tenth(tmp_path, sweep_here):
     ds = stopped(built_in, store, 0.1)
     assert ds.attrs["running"] == 2
     assert ((ds.status == 4) & (ds.n_sim_done >= 500) & (ds.n_sim_done < 5000)).all()
-    relative = ds.sigma_spin_mc_error / ds.sigma_spin
-    np.testing.assert_allclose(relative, np.sqrt(1.0 / (6.0 * ds.n_sim_done)), rtol=1e-12)
+    relative = ds.sigma_spin_mc_error / ds.sigma_spin * np.sqrt(6.0 * ds.n_sim_done)
+    assert ((relative > 1.0) & (relative < 1.05)).all()  # 1 for components that are alike, in catalogues that are
     assert (ds.sigma_spin_catalogue_error > 0.0).all()
     # who opens the store has no values of points that are not done
     plain = linksweep.open(store)
