@@ -46,7 +46,7 @@ class Column:
     @property
     def shown(self) -> Sequence[str]:
         """The cells."""
-        return ["" if is_missing(v) else plain(v) for v in self.values] if self.cells is None else self.cells
+        return plain(self.values) if self.cells is None else self.cells
 
     @property
     def texts(self) -> list[str]:

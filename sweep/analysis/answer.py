@@ -157,7 +157,7 @@ def _range(part: xr.Dataset, array: xr.DataArray, errors: Array, unit: str) -> s
         return f"It is {number[0]}."
     indices = (map(int, np.unravel_index(flat, array.shape)) for flat in (low, high))
     places = [quantity.place_at(part, dict(zip(map(str, array.dims), i, strict=True))) for i in indices]
-    least, largest = map(quantity.place_in_words, places)
+    least, largest = (quantity.place_in_words(place, part) for place in places)
     points = formatting.counted(len(known), "point" if len(array.dims) == len(part["status"].dims) else "value")
     if values[low] == values[high]:
         return f"It is {number[0]} at {points if len(known) > 1 else least}."
@@ -279,9 +279,9 @@ def _broken_bound(value: ConclusionValue, number: float, error: float) -> str:
     """Return in words the bound that a number violates; '' if it violates none."""
     allowed = compare.MC_ERRORS_ALLOWED * error + compare.ARITHMETIC * abs(number)
     if value.above is not None and not number + allowed > value.above:
-        return f"above {value.above:g}"
+        return f"above {formatting.plain([value.above])[0]}"
     if value.below is not None and not number - allowed < value.below:
-        return f"below {value.below:g}"
+        return f"below {formatting.plain([value.below])[0]}"
     if value.equals is not None and not abs(number - value.equals) <= allowed:
-        return f"{value.equals:g} within {compare.MC_ERRORS_ALLOWED:g} of its errors"
+        return f"{formatting.plain([value.equals])[0]} within {compare.MC_ERRORS_ALLOWED:g} of its errors"
     return ""

@@ -21,10 +21,19 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc, exprel, fdtrc  # scipy.stats takes longer to import than a small study to run
 
 from linksweep.sweep.analysis import quantity
-from linksweep.sweep.analysis.tables import derived
+from linksweep.sweep.analysis.tables import STEP, derived
 from linksweep.sweep.contract import FEW, SweepError, factor_between, shown, unit_problem
 from linksweep.sweep.contract.rows import FEWEST_SAMPLES, LENGTH, Array, Status, small_sample_factor
-from linksweep.sweep.formatting import LOGARITHMIC_UNITS, RAGGED, described, units_of, with_error, with_unit
+from linksweep.sweep.formatting import (
+    LOGARITHMIC_UNITS,
+    RAGGED,
+    described,
+    plain,
+    rounded,
+    units_of,
+    with_error,
+    with_unit,
+)
 from linksweep.sweep.studies.record import outer_draw_of
 from linksweep.sweep.studies.study import POINT
 
@@ -135,11 +144,12 @@ class Lines:
         """Return the coordinates of a line by name, those of dimensions first."""
         one = self.grid.isel(line.index)
         names = dict.fromkeys([*self.dims, *map(str, one.coords)])
-        return {n: one[n].item() for n in names if n in one.coords and not n.endswith("_unit")}
+        return {n: quantity.listed(one, n, [])[0] for n in names if n in one.coords and not n.endswith("_unit")}
 
     def at(self, line: Line, x: float | None = None) -> str:
         """Return the place of a line, or of its point at ``x``, as the end of a sentence."""
-        words = quantity.place_in_words(self.place(line) | ({} if x is None else {self.over: x}))
+        place = self.place(line) | ({} if x is None else {self.over: plain([x, *line.x.tolist()])[0]})
+        words = quantity.place_in_words(place, self.grid)
         return f" at {words}" if words else ""
 
     def dataset(
@@ -156,7 +166,10 @@ class Lines:
             words = meaning.format(variable=self.variable, over=self.over)
             columns[name] = [row.get(name, np.nan) for row in rows], units[unit], words
         about |= {"variable": self.variable, "over": self.over, "errors": self.errors}
-        return derived(self.grid, self.dims, columns, shown, notes, **about)
+        result = derived(self.grid, self.dims, columns, shown, notes, **about)
+        if "pivot" in result:  # a place without an error
+            result["pivot"].attrs[STEP] = min(float(np.diff(line.x).min()) for line in self.lines if len(line.x) > 1)
+        return result
 
 
 def lines(
@@ -281,7 +294,7 @@ def fit_power_law(
     """
     made = lines(dataset, variable, over, covariance)
     if not_above := [x for line in made.lines for x in line.x if not x > 0.0]:
-        raise SweepError(f"a power law needs {over} above 0; there is {min(not_above):g}")
+        raise SweepError(f"a power law needs {over} above 0; there is {plain(not_above)[0]}")
     rows = _fitted(made, power_law)
     wanted = [_expected(dataset, made, line) if expected is None else expected for line in made.lines]
     for row, exponent in zip(rows, wanted, strict=True):
@@ -454,7 +467,7 @@ class Limit:
         return np.asarray(_COMPARE[self.sign](values, number))
 
     def __str__(self) -> str:
-        return f"{self.variable} {self.sign} {self.number:g} {self.unit}".rstrip()
+        return f"{self.variable} {self.sign} {plain([self.number])[0]} {self.unit}".rstrip()
 
 
 def parse_limit(text: str) -> Limit:
@@ -529,8 +542,8 @@ def find(dataset: xr.Dataset, limit: Limit | str, over: str, covariance: xr.Data
     made = lines(dataset, limit.variable, over, covariance, least=1)
     thresholds = made.thresholds(limit)
     rows = [_cross(line, limit, thresholds.get(line.unit, np.nan), made.over_unit) for line in made.lines]
-    for row in rows:
-        row["conclusion"] = _crossing_in_words(row, made.over_unit, made.unit)
+    for row, line in zip(rows, made.lines, strict=True):
+        row["conclusion"] = _crossing_in_words(row, made.over_unit, line)
     notes = [f"{limit} along {over}; errors: {made.errors}"]
     result = made.dataset(rows, ["conclusion"], notes, condition=str(limit))
     flags = {"flag_values": list(range(len(MET_WORDS))), "flag_meanings": ", ".join(MET_WORDS)}
@@ -574,7 +587,8 @@ def interpolate(
     for row, line in ((row, line) for row, line in zip(rows, made.lines, strict=True) if len(line.x)):
         x = line.x
         if not x[0] <= at <= x[-1]:
-            raise SweepError(f"{over} = {at:g} is beyond the points, which go from {x[0]:g} to {x[-1]:g}")
+            given, first, *_, last = plain([at, *x.tolist()])
+            raise SweepError(f"{over} = {given} is beyond the points, which go from {first} to {last}")
         i = min(max(int(np.searchsorted(x, at)) - 1, 0), len(x) - 2)
         u, spread, logarithm = _pair(line, i)
         *_, z = scale = on_scale(np.append(x, at), made.over_unit)
@@ -843,6 +857,12 @@ def _limit(start: float, end: float, rate: float, floor: float, fall: float) -> 
 # Words
 
 
+def _place_on(x: Array, place: float, error: float) -> str:
+    """Return a place between the points of an axis with its error, or with two digits of the step around it."""
+    after = np.searchsorted(x, place)
+    return with_error(place, error) if error > 0.0 else rounded(place, float(np.ptp(x[max(after - 1, 0) : after + 1])))
+
+
 def _levelling_in_words(row: Mapping[str, float], last: float, unit: str) -> str:
     limit = row["limit"]
     if limit == -math.inf:
@@ -857,15 +877,17 @@ def _levelling_in_words(row: Mapping[str, float], last: float, unit: str) -> str
     return "; ".join([words, end, *doubt])
 
 
-def _crossing_in_words(row: Mapping[str, Any], unit: str, value_unit: str) -> str:
+def _crossing_in_words(row: Mapping[str, Any], unit: str, line: Line) -> str:
     met = row["met"]
     words = MET_WORDS[met]
-    first, last = (f"{with_error(row[name], row[f'{name}_error'])} {unit}".rstrip() for name in ("first", "last"))
+    names = ("first", "last") if row["crossings"] else ()
+    places = [f"{_place_on(line.x, row[name], row[f'{name}_error'])} {unit}".rstrip() for name in names]
     if met in (FROM, UP_TO):
-        return f"{words} {first}"
+        return f"{words} {places[0]}"
     if met == SEVERAL:
-        return f"{words}, first at {first}, last at {last}"
+        return f"{words}, first at {places[0]}, last at {places[1]}"
     if met == LEFT_OUT:
         return words
-    where = "" if math.isnan(row["nearest_at"]) else f" at {row['nearest_at']:g} {unit}".rstrip()
-    return f"{words}; {with_unit(row['nearest'], 0.0, value_unit)}{where} is nearest to the limit"
+    at = plain([row["nearest_at"], *line.x.tolist()])[0]
+    where = "" if math.isnan(row["nearest_at"]) else f" at {at} {unit}".rstrip()
+    return f"{words}; {with_unit(row['nearest'], 0.0, line.unit)}{where} is nearest to the limit"

@@ -6,6 +6,7 @@ Everything that looks at results asks here, so that tables, laws, figures and pa
 from __future__ import annotations  # names of xarray, which is imported only where it computes
 
 import json
+import math
 from collections.abc import Collection, Container, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from linksweep.sweep.contract import FEW, FEWEST_SAMPLES, Array, Status, SweepError, shown, small_sample_factor, suggest
 from linksweep.sweep.contract.rows import LENGTH, count_status, unfinished_in_words
-from linksweep.sweep.formatting import ERRORS, RAGGED, first_of, is_missing, is_truth, prefixed, units_of
+from linksweep.sweep.formatting import ERRORS, RAGGED, first_of, is_missing, is_truth, plain, prefixed, units_of
 from linksweep.sweep.stores.store import RUNNING, finished
 from linksweep.sweep.studies.record import FUNCTION, outer_draw_of
 from linksweep.sweep.studies.study import LOST, POINT, POINT_TABLE, Claim
@@ -40,6 +41,8 @@ BESIDE = (*ERROR_SUFFIXES, *PREDICTION_SUFFIXES, "published", "published_roundin
 # attribute it is exact.  The coordinate OVER_other has the values of OVER, by which points are found there after OVER
 # was cut or sorted.
 COVARIANCE_SUFFIX = "mc_covariance"
+
+CLOSE = 0.05  # a number that was read stands for another if that is nearer than this share of the next one's distance
 
 # Attributes: whether points of the grid share random numbers, and the axes along which they do, all by default.
 SHARES_RANDOM_NUMBERS, SHARED_AXES = "common_random_numbers", "shared_axes"
@@ -372,15 +375,25 @@ def place_at(dataset: xr.Dataset, index: Mapping[str, int]) -> dict[str, Any]:
     for dimension in (d for d in dict.fromkeys([*axes_of(dataset), *index]) if d in index):
         names = dict.fromkeys([dimension, *map(str, dataset.coords)])
         along = [n for n in names if n in dataset.coords and dataset[n].dims == (dimension,)]
-        places |= {name: dataset[name].values[[index[dimension]]].item() for name in along}
+        places |= {name: listed(dataset, name, [dimension])[index[dimension]] for name in along}
     return places
 
 
-def place_in_words(where: Mapping[str, Any]) -> str:
-    """Return a place on the axes as ``model=gaia, v_max=16``."""
+def place_in_words(where: Mapping[str, Any], dataset: xr.Dataset | None = None) -> str:
+    """Return a place on the axes as ``model=gaia, v_max=16``, its numbers as all of those axes of a dataset."""
     # one that is missing has no effect at this point
-    shown = {name: value for name, value in where.items() if not is_missing(value) and value != ""}
-    return ", ".join(f"{k}={f'{v:g}' if isinstance(v, float) else v}" for k, v in shown.items())
+    known = {name: value for name, value in where.items() if not is_missing(value) and value != ""}
+    return ", ".join(f"{name}={value_in_words(dataset, name, value)}" for name, value in known.items())
+
+
+def value_in_words(dataset: xr.Dataset | None, axis: str, value: Any) -> str:
+    """Return a value of an axis as a text that tells it from the other values which a dataset has."""
+    others = (
+        []
+        if dataset is None or axis not in dataset.coords
+        else listed(dataset, axis, list(map(str, dataset[axis].dims)))
+    )
+    return plain([value, *others])[0]
 
 
 # Parts
@@ -416,11 +429,15 @@ def indices(dataset: xr.Dataset, places: Mapping[str, Any]) -> dict[str, list[in
         if name not in axes:
             problems.append(f"{shown(name)} is not an axis{suggest(name, axes) if axes else '; there are none'}")
             continue
-        values = dataset[name].values.tolist()
-        hits = {i for i, value in enumerate(values) if _is_meant(value, wanted)}
         dimension = str(dataset[name].dims[0])
+        values = listed(dataset, name, [dimension])
+        exact = list(dataset[name].values) if dataset[name].dtype.kind == "M" else values
+        hits = {i for i, value in enumerate(exact) if _is_meant(value, wanted)}
+        texts = [] if hits else plain(values)
+        hits = hits or _shown_as(values, texts, wanted)
         if not hits:
-            problems.append(f"{name} = {wanted} is not in the grid, which has {first_of(values, FEW)}")
+            there = first_of([text or "none" for text in texts], FEW)
+            problems.append(f"{name} = {wanted} is not in the grid, which has {there}")
         elif not chosen.setdefault(dimension, hits) & hits:
             problems.append(f"{name} = {wanted} is at no point with the other values that are given along {dimension}")
         else:
@@ -432,25 +449,41 @@ def indices(dataset: xr.Dataset, places: Mapping[str, Any]) -> dict[str, list[in
 
 def between(dataset: xr.Dataset, axis: str, low: float, high: float) -> xr.Dataset:
     """Return the part of a dataset where low <= axis <= high; raises SweepError if there is none."""
-    values = dataset[axis].values
-    inside = np.flatnonzero((values >= low) & (values <= high))
+    values, texts = dataset[axis].values, plain(dataset[axis].values.tolist())
+    shown = np.array([float(text or "nan") for text in texts])  # as somebody may have read them
+    inside = np.flatnonzero(((values >= low) & (values <= high)) | ((shown >= low) & (shown <= high)))
     if not inside.size:
-        ends = f"it goes from {values.min():g} to {values.max():g}"
-        raise SweepError(f"{axis} has no value from {low:g} to {high:g}; {ends}")
+        ends = f"it goes from {texts[values.argmin()]} to {texts[values.argmax()]}"
+        raise SweepError(f"{axis} has no value from {' to '.join(plain([low, high]))}; {ends}")
     return dataset.isel({dataset[axis].dims[0]: inside})
 
 
-def _is_meant(value: object, wanted: object) -> bool:
+def _is_meant(value: object, wanted: Any) -> bool:
     if is_missing(value):  # where a conditional parameter has no effect
         return str(wanted).lower() in ("nan", "none")
-    if not isinstance(wanted, str) or isinstance(value, str):
-        return value == wanted
+    is_time = isinstance(value, np.datetime64)
+    if not is_time and (not isinstance(wanted, str) or isinstance(value, str)):
+        return bool(value == wanted)
     if isinstance(value, bool):
-        return wanted.lower() == str(value).lower()
-    for number in (int, float):  # an integer beyond 2**53 is no float
-        with suppress(ValueError):
-            return value == number(wanted)
+        return bool(wanted.lower() == str(value).lower())
+    # an integer beyond 2**53 is no float
+    for read in (np.datetime64,) if is_time else (int, float):
+        with suppress(ValueError, TypeError):
+            return bool(value == read(wanted))
     return False
+
+
+def _shown_as(values: Sequence[Any], texts: Sequence[str], wanted: Any) -> set[int]:
+    """Return where the number is that was read as the one wanted: the texts of some, see `plain`, are not all of them,
+    and what is wanted is much nearer to it than to any other.
+    """
+    number = math.nan
+    with suppress(ValueError, TypeError):
+        number = float(wanted)
+    numbers = {value for value in values if isinstance(value, int | float) and not is_missing(value)}
+    first, second = [*sorted(numbers, key=lambda value: abs(value - number)), number * (1.0 + 1e-9), number][:2]
+    hits = {i for i, v in enumerate(values) if isinstance(v, float) and v == first and float(texts[i]) != v}
+    return hits if abs(first - number) < CLOSE * abs(second - number) else set()
 
 
 # What is missing

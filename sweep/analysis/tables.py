@@ -33,6 +33,7 @@ CONDITION, CORRELATION = "condition_number", "correlation"
 BAD_CONDITION = 100.0  # above it unknowns can hardly be told apart: two with a correlation of 0.98 have it
 FEWEST = 30  # realisations for a correlation, which is then known to 0.2
 WORST_POINTS = 3  # how many points have their components shown
+STEP = "step"  # the attribute of places on an axis that have no errors: that of the axis, which says their digits
 LEAST_SHARE = 1.0  # of a result, in percent, that a sentence names
 
 Columns = Mapping[str, tuple[Any, str, str]]
@@ -278,7 +279,7 @@ def _component_tables(dataset: xr.Dataset) -> Iterator[Table]:
             facts += f", largest correlation {beside[i, j]:.3f} ({labels[i]}, {labels[j]})"
         units = point[f"{dim}_unit"].values.tolist() if f"{dim}_unit" in point.coords else [""] * len(labels)
         cells = list(map(formatting.in_three_digits, point[name].values.tolist(), units))
-        place = ", ".join(filter(None, [name, quantity.place_in_words(quantity.place_at(dataset, index))]))
+        place = ", ".join(filter(None, [name, quantity.place_in_words(quantity.place_at(dataset, index), dataset)]))
         yield Table([Column("", labels, left=True), Column("", cells)], f"{place}: {facts}")
 
 
@@ -300,8 +301,10 @@ def _derived_table(result: xr.Dataset) -> Table:
             columns += [Column(name, values, values, wrap=24)] if any(values) else []
             continue
         unit, factor = formatting.prefixed(values, its[name].unit)
-        errors = its[f"{name}_error"].values if f"{name}_error" in its else [0.0] * len(values)
-        cells = [formatting.with_error(factor * v, factor * e) for v, e in zip(values, errors, strict=True)]
+        is_known, step = f"{name}_error" in its, result[name].attrs.get(STEP, 0.0)
+        errors = its[f"{name}_error"].values if is_known else [step] * len(values)
+        form = formatting.with_error if is_known else formatting.rounded
+        cells = [form(factor * v, factor * e) for v, e in zip(values, errors, strict=True)]
         # the last are left out first where there is no room
         columns += [Column(name, values, cells, unit, name, rank)] if any(cells) else []
     return Table(columns, str(result.attrs.get("title", "")))

@@ -115,12 +115,15 @@ def series_of(dataset: xr.Dataset, variable: str, *along: str) -> list[tuple[str
     except those it is drawn ``along``, that has a value, with its name; raises SweepError for more parts than colours.
     """
     others = [str(d) for d in dataset[variable].dims if d not in along]
-    everything = [dataset.isel(place) for place in quantity.places_along(dataset, others)]
-    parts = [one for one in everything if np.isfinite(one[variable].values).any()]  # a study may exclude the others
+    parts = [
+        (place, one)
+        for place in quantity.places_along(dataset, others)
+        if np.isfinite((one := dataset.isel(place))[variable].values).any()  # a study may exclude the others
+    ]
     if len(parts) > len(style.COLOURS):
         raise _too_many(dataset, others)
     named = [d for d in others if d in dataset.coords and dataset.sizes[d] > 1]
-    return [(", ".join(style.value_text(dataset, d, one[d].item()) for d in named), one) for one in parts]
+    return [(style.place_text(dataset, {d: place[d] for d in named}), one) for place, one in parts]
 
 
 def draw_panels(dataset: xr.Dataset, variables: list[str], layout: Layout, draw: Draw, alike: bool = False) -> Figure:
@@ -179,8 +182,7 @@ def _panels(
                 wholes[shares] = whole.assign({name: whole[name].assign_attrs({style.SCALE: scale})})
             part = wholes[shares].isel({d: i for d, i in place.items() if d not in alone})
             if np.isfinite(part[name].values.astype(float)).any():
-                title = ", ".join(style.value_text(dataset, d, dataset[d][i].item()) for d, i in place.items())
-                yield _Panel(part, name, title, shares)
+                yield _Panel(part, name, style.place_text(dataset, place), shares)
 
 
 # Lines
@@ -523,7 +525,7 @@ def draw_map(axes: Axes, dataset: xr.Dataset, variable: str, x: str, y: str, lim
     for axis, which, name in ((axes.xaxis, "x", x), (axes.yaxis, "y", y)):
         style.fit_scale(axes, which, dataset[name])
         if dataset[name].size <= 3:  # ticks at these alone
-            axis.set_ticks(dataset[name].values, list(map(style.number_text, dataset[name].values)))
+            axis.set_ticks(dataset[name].values, formatting.plain(dataset[name].values.tolist()))
             axis.set_minor_locator(ticker.NullLocator())
         elif dataset[name].dtype.kind == "i" and not style.is_logarithmic(dataset[name]):
             axis.set_major_locator(ticker.MaxNLocator(integer=True))

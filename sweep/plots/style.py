@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from scipy.special import chdtri
 
 from linksweep.sweep import formatting
-from linksweep.sweep.analysis.quantity import COVARIANCE_SUFFIX
+from linksweep.sweep.analysis import quantity
 from linksweep.sweep.contract import Array, SweepError, shown, suggest
 from linksweep.sweep.studies.study import FigureForm
 
@@ -257,7 +257,7 @@ def with_chosen_component(dataset: xr.Dataset) -> xr.Dataset:
     for name, array in dataset.data_vars.items():
         units = formatting.units_of(array.attrs)
         # a product of two components has a unit of its own
-        if "," in units and "(" not in units and f"_{COVARIANCE_SUFFIX}_" not in str(name):
+        if "," in units and "(" not in units and f"_{quantity.COVARIANCE_SUFFIX}_" not in str(name):
             changed[name] = array.assign_attrs(symbol=f"{symbol(str(name), array.attrs)}({inside})", units=unit)
     return dataset.assign(changed)
 
@@ -268,14 +268,18 @@ def value_text(dataset: xr.Dataset, axis: str, value: Any) -> str:
         symbols = json.loads(dataset[axis].attrs.get("symbols", "{}"))
         is_name = f"{axis}_unit" in dataset.coords or ("_" in value and _NAME.fullmatch(value))
         return symbols.get(value) or (component_symbol(value) if is_name else value)
-    if dataset[axis].dtype.kind == "M":
-        return str(np.datetime_as_string(np.datetime64(value, "ns"), unit="auto"))
     if formatting.is_truth(dataset[axis]) and value == value:  # noqa: PLR0124
         return f"{symbol(axis, dataset[axis].attrs)}: {SWITCH[bool(value)]}"
     if value in ("", "none", "None") or value != value:  # noqa: PLR0124 (missing: the parameter has no effect there)
         return f"no {symbol(axis, dataset[axis].attrs)}"
     unit = formatting.written(formatting.units_of(dataset[axis].attrs))
-    return f"{symbol(axis, dataset[axis].attrs)} = {formatting.plain(value)} {unit}".rstrip()
+    return f"{symbol(axis, dataset[axis].attrs)} = {quantity.value_in_words(dataset, axis, value)} {unit}".rstrip()
+
+
+def place_text(dataset: xr.Dataset, index: Mapping[str, int]) -> str:
+    """Return the values at an index along dimensions as a legend names them."""
+    places = quantity.place_at(dataset, index)
+    return ", ".join(value_text(dataset, d, places[d]) for d in index)
 
 
 def plain(text: str) -> str:
@@ -336,7 +340,7 @@ def is_logarithmic(array: xr.DataArray) -> bool:
     known = np.unique(array.values.astype(float))
     known = known[np.isfinite(known)]
     if array.attrs.get(SCALE) == "log" and known.size and known[0] <= 0.0:
-        raise SweepError(f"{array.name} = {known[0]:g}: a logarithmic axis has only numbers above zero")
+        raise SweepError(f"{array.name} = {formatting.plain(known)[0]}: a logarithmic axis has only numbers above zero")
     if SCALE in array.attrs:
         return bool(array.attrs[SCALE] == "log")
     if known.size < 3 or known[0] <= 0.0 or formatting.units_of(array.attrs) in formatting.LOGARITHMIC_UNITS:

@@ -17,6 +17,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from importlib import metadata, resources
+from math import floor, log10
 from pathlib import Path
 from socketserver import ThreadingMixIn
 from typing import Any, NamedTuple
@@ -34,6 +35,7 @@ from matplotlib.figure import Figure
 from linksweep.sweep import formatting
 from linksweep.sweep.analysis import answer, compare, quantity, sensitivity, tables
 from linksweep.sweep.contract import Status, SweepError
+from linksweep.sweep.planning.union import REFINED
 from linksweep.sweep.plots import KINDS, figure as drawing, grid, style
 from linksweep.sweep.result import Result, open_result, write_at_once
 from linksweep.sweep.running.progress import reasons_of
@@ -53,7 +55,7 @@ MOST_MARKS = 2000  # more points than this are drawn as one image: in SVG each o
 SAMPLES = "kept samples of two components; the ellipses hold 68 and 95 % of a normal distribution"
 SUFFIX = "from_prediction"
 
-DIGITS = 7  # of a number in the interactive view: more than any Monte-Carlo result needs
+EXACT = 2**53  # integers beyond it are not numbers of JavaScript, but texts
 MOST_NUMBERS = 200_000  # in a page for all its interactive views together, some 2 MB
 
 
@@ -137,7 +139,7 @@ def drawn(dataset: xr.Dataset, name: str, salt: str, variables: Sequence[str] = 
         if longest := max(sizes, key=lambda d: sizes[d], default=""):  # fewer curves may fit into one picture
             some = np.linspace(0, sizes[longest] - 1, (sizes[longest] + 1) // 2).round().astype(int)
             thinner = dataset.isel({longest: some})
-            values = [quantity.place_in_words({longest: v}) for v in thinner[longest].values.tolist()]
+            values = [quantity.place_in_words({longest: v}) for v in quantity.listed(thinner, longest, [longest])]
             name = f"{name.partition(f', only {longest}=')[0]}, only {formatting.first_of(values, 5)}"
             return drawn(thinner, name, salt, variables, kind)
         return Picture(name, problem=" ".join(str(error).split()))
@@ -228,12 +230,16 @@ def explorer(dataset: xr.Dataset, first: Sequence[str], room: int) -> tuple[dict
         used += size
         views.append(_quantity(dataset, name, parts))
     dims = list(dict.fromkeys(d for view in views for d in view["dims"]))
-    return {"quantities": views, "axes": list(_axes(dataset, dims))}, used, left_out
+    status = dataset["status"]
+    # points that the study leaves out are not missing, and nobody asked for those between the points of a refinement
+    left = {"dims": list(status.dims), "at": np.flatnonzero(status.values == Status.EXCLUDED).tolist()}
+    left["refined"] = REFINED in dataset.attrs
+    return {"quantities": views, "axes": list(_axes(dataset, dims)), "excluded": left}, used, left_out
 
 
 def _quantity(dataset: xr.Dataset, name: str, parts: dict[str, xr.DataArray]) -> dict[str, Any]:
     array = dataset[name]
-    unit, factors, components = formatting.units_of(array.attrs), xr.DataArray(1.0), {}
+    unit, factors, components = formatting.units_of(array.attrs), None, {}
     with_units = [str(d) for d in array.dims if f"{d}_unit" in dataset.coords]  # a unit for each component
     if "," in unit and len(with_units) == 1:
         (dim,) = with_units
@@ -243,15 +249,22 @@ def _quantity(dataset: xr.Dataset, name: str, parts: dict[str, xr.DataArray]) ->
         unit, components = "", {"unit_dim": dim, "units": [formatting.written(one.unit) for one in chosen]}
     elif "," in unit:  # of each element of a matrix
         unit = ", ".join(dict.fromkeys(part.strip(" ()") for part in unit.split(",")))
+    known = abs(array.values[np.isfinite(array.values)]).astype(float)
+    span = float(np.ptp(array.values[np.isfinite(array.values)].astype(float)))
+    digits = 6 + max(0, floor(log10(known.max() / span))) if span > 0.0 else 15
     return {
         "name": name,
         "unit": formatting.written(unit),
+        "digits": 17 if array.dtype.kind == "i" else min(digits, 17),
         **components,
         "meaning": formatting.meaning_beside(name, array.attrs),
         "dims": list(map(str, array.dims)),
         "scale": str(array.attrs.get(style.SCALE, "")),
         "truth": formatting.is_truth(array),
-        **{suffix: _numbers((part * factors).transpose(*part.dims)) for suffix, part in parts.items()},
+        **{
+            n: _numbers(part if factors is None else (part * factors).transpose(*part.dims))
+            for n, part in parts.items()
+        },
     }
 
 
@@ -264,6 +277,7 @@ def _axes(dataset: xr.Dataset, dims: Sequence[str]) -> Iterator[dict[str, Any]]:
     for name in sorted(along, key=lambda n: (dataset[n].dims == (POINT,), n == POINT)):
         array = dataset[name]  # a dimension without a coordinate gives 0, 1, 2, ...
         numeric, ordered = array.dtype.kind in "iuf", array.dims[0] != POINT
+        texts = formatting.plain(quantity.listed(dataset, array, [str(array.dims[0])]))
         if numeric or ordered or name == POINT:
             yield {
                 "name": name,
@@ -272,14 +286,19 @@ def _axes(dataset: xr.Dataset, dims: Sequence[str]) -> Iterator[dict[str, Any]]:
                 "numeric": numeric,
                 "ordered": ordered,
                 "logarithmic": numeric and style.is_logarithmic(array),
-                "values": _numbers(array) if numeric else list(map(str, array.values.tolist())),
+                "values": _numbers(array.astype(float)) if numeric else texts,
+                "texts": texts,
             }
 
 
-def _numbers(array: xr.DataArray) -> list[float | int | None]:
-    """Return the numbers of an array in C order with `DIGITS` digits, None for those that are not finite."""
-    shorts = (float(f"{value:.{DIGITS}g}") for value in array.values.reshape(-1).tolist())
-    return [int(n) if n.is_integer() and abs(n) < 1e15 else n if np.isfinite(n) else None for n in shorts]
+def _numbers(array: xr.DataArray) -> list[Any]:
+    """Return the numbers of an array in C order, None for those that are not finite, integers beyond `EXACT` as texts.
+
+    Truth values are 0 and 1.
+    """
+    flat = array.values.reshape(-1).tolist()
+    numbers = [int(n) if not isinstance(n, float) or (n.is_integer() and abs(n) < EXACT) else n for n in flat]
+    return [str(n) if isinstance(n, int) and abs(n) > EXACT else formatting.finite_or(n, None) for n in numbers]
 
 
 # The beginning of every report: a file that does not begin with it is not replaced.
@@ -476,7 +495,7 @@ def _without_gaps(dataset: xr.Dataset, name: str) -> tuple[xr.Dataset, str]:
     if not axis or not whole[axis].any():
         raise SweepError(f"{name} is known at too few points")
     gone = np.flatnonzero(~whole[axis]).tolist()
-    lacking = [quantity.place_in_words(quantity.place_at(dataset, {axis: i})) for i in gone]
+    lacking = [quantity.place_in_words(quantity.place_at(dataset, {axis: i}), dataset) for i in gone]
     words = f" (without {formatting.first_of(lacking, 3)}, where some are missing)" if lacking else ""
     return dataset.isel({axis: whole[axis]}), words
 

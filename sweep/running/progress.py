@@ -391,6 +391,7 @@ class TerminalProgress:
         self._begun = self._shown = time.monotonic()
         self._eta = Eta(pending.cost, workers)
         self._count = FailureCount(self._study, total.points, total.points - pending.points, survey.failed)
+        self._failures = survey.failed
         self._write("started", points=total.points, done=self._count.done, failed=survey.failed, where=where)
         self._work = pending.cost
         kept = f", {self._count.done:,} of them in the store already" if self._count.done else ""
@@ -429,6 +430,7 @@ class TerminalProgress:
             for line in said.printed.splitlines():
                 RECORD.info("%s: printed: %s", place, line)
         failed = sum(point.index in taken.failed for point in taken.ended)
+        self._failures += failed
         self._write("points", done=len(taken.ended) - failed, failed=failed, realisations=taken.done.realisations)
         for point in taken.ended if taken.failed or SENTENCES.isEnabledFor(logging.DEBUG) else ():
             place = describe(self._study, point.parameters)

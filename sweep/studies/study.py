@@ -15,7 +15,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from linksweep.sweep.contract import HUGE, Experiment, Named, Value, bound_in_words, shown, suggest
-from linksweep.sweep.formatting import ESCAPED, first_of
+from linksweep.sweep.formatting import ESCAPED, first_of, plain
 from linksweep.sweep.tables.columns import content_digest
 
 DEFAULT_EXPERIMENT = "linksweep.core.experiment:link"
@@ -446,7 +446,8 @@ class ConclusionValue(Derived, frozen=True):
     @model_validator(mode="after")
     def _one_number(self, info: ValidationInfo) -> Self:
         if self.above is not None and self.below is not None and not self.above < self.below:
-            raise ValueError(f"above = {self.above:g}: is not less than below = {self.below:g}")
+            above, below = plain([self.above, self.below])
+            raise ValueError(f"above = {above}: is not less than below = {below}")
         context, quantity = info.context, self.quantity()
         if context is None or self.choose is not None:
             return self

@@ -10,17 +10,21 @@
   // For a text with these signs BokehJS would load a library for formulae from the network.
   const plain = (text) => String(text).replaceAll("$$", "$\u200b$").replaceAll("\\(", "\\\u200b(").replaceAll("\\[", "\\\u200b[");
   const labelled = (thing) => (thing.unit ? `${thing.name} [${thing.unit}]` : thing.name);
+  // A value of an axis, which has no effect where it is missing.
+  const valued = (axis, i) => (axis.texts[i] === "" ? `no ${axis.name}` : `${axis.name} = ${axis.texts[i]}`);
+  const textAt = (axis, i) => axis.texts[i] || "none";
+  const numberAt = (axis, i) => (axis.texts[i] === "" ? NaN : Number(axis.texts[i]));
   // A number and its error with two digits of the error, as tables have them.
-  const withError = (value, error) => {
+  const withError = (value, error, digits) => {
     if (!Number.isFinite(value)) return "";
-    if (!(error > 0)) return shown(value);
+    if (!(error > 0)) return shown(value, digits);
     const decimals = Math.max(0, 1 - Math.floor(Math.log10(error)));
-    return decimals > 9 ? `${shown(value)} ± ${Number(error.toPrecision(2))}` : `${value.toFixed(decimals)} ± ${error.toFixed(decimals)}`;
+    return decimals > 9 ? `${shown(value, digits)} ± ${Number(error.toPrecision(2))}` : `${value.toFixed(decimals)} ± ${error.toFixed(decimals)}`;
   };
-  const nan = (value) => (value === null || value === undefined ? NaN : value);
-  const shown = (value) => (Number.isFinite(value) ? String(Number(value.toPrecision(6))) : "");
-  const within = (value, [low, high]) => // numbers in tables have more digits than those here
-    (low === null || value >= low - 1e-6 * Math.abs(low)) && (high === null || value <= high + 1e-6 * Math.abs(high));
+  const nan = (value) => (value === null || value === undefined ? NaN : Number(value));
+  const shown = (value, digits) => (Number.isFinite(value) ? String(Number(value.toPrecision(digits))) : "");
+  // Whether a number is in a range: itself, or as it is shown.
+  const within = ([low, high], ...numbers) => numbers.some((value) => (low === null || value >= low) && (high === null || value <= high));
   const least = (values) => values.reduce((a, b) => (Number.isFinite(b) && b < a ? b : a), Infinity);
   const largest = (values) => values.reduce((a, b) => (Number.isFinite(b) && b > a ? b : a), -Infinity);
   const untouched = () => ({ quantity: 0, fixed: {}, x: "", series: "", scale: "", scaleX: "", kind: "", ranges: {} });
@@ -82,7 +86,9 @@
     const half = (at, edge) => (edge === undefined ? 0.5 : Math.abs(edge - at));
     const [[first], [last]] = [known[0], known.at(-1)];
     const all = [first - half(first, edges[0]), ...edges, last + half(last, edges.at(-1))];
-    return new Map(known.map(([at, i], k) => [i, [all[k], at, all[k + 1]].map(back)]));
+    const places = new Map(known.map(([at, i], k) => [i, [all[k], at, all[k + 1]].map(back)]));
+    const whole = [all[0], (all[0] + all.at(-1)) / 2, all.at(-1)].map(back); // of points at which it has no effect
+    return new Map(axis.values.map((_, i) => [i, places.get(i) ?? whole]));
   };
 
   const sourceOf = (columns, rows) =>
@@ -93,6 +99,7 @@
       this.element = element;
       this.data = JSON.parse(document.getElementById(element.dataset.explorer).textContent);
       this.choice = untouched();
+      this.excluded = new Set(this.data.excluded.at);
       this.turn = 0;
       this.settle();
       this.first = JSON.stringify(this.choice);
@@ -144,7 +151,7 @@
     inside(dim, i, ...except) {
       return Object.entries(this.choice.ranges).every(([name, range]) => {
         const axis = this.axis(name);
-        return axis.dim !== dim || except.includes(name) || within(axis.values[i] ?? NaN, range);
+        return axis.dim !== dim || except.includes(name) || within(range, axis.values[i] ?? NaN, numberAt(axis, i));
       });
     }
 
@@ -163,7 +170,7 @@
       const used = [this.choice.x, this.choice.series].filter(Boolean).map((name) => this.axis(name).dim);
       if (used.includes(quantity.unit_dim)) return labelled({ name: quantity.name, unit: [...new Set(quantity.units)].join(", ") });
       const i = this.index(quantity.unit_dim);
-      return labelled({ name: `${quantity.name}(${this.axis(quantity.unit_dim).values[i]})`, unit: quantity.units[i] });
+      return labelled({ name: `${quantity.name}(${this.axis(quantity.unit_dim).texts[i]})`, unit: quantity.units[i] });
     }
 
     get quantity() { return this.data.quantities[this.choice.quantity]; }
@@ -217,9 +224,10 @@
     // Both ends of the range of an axis; an empty one is open.
     ends(axis) {
       const range = this.choice.ranges[axis.name] ?? [null, null];
+      const known = [...axis.texts.keys()].map((i) => numberAt(axis, i));
       return ["from", "to"].map((word, end) => {
         const input = document.createElement("input");
-        Object.assign(input, { type: "number", step: "any", placeholder: end ? largest(axis.values) : least(axis.values), value: range[end] ?? "" });
+        Object.assign(input, { type: "number", step: "any", placeholder: end ? largest(known) : least(known), value: range[end] ?? "" });
         return this.control(input, `${word}-${axis.name}`, end ? "to" : `${labelled(axis)} from`, (value) => {
           this.choice.ranges[axis.name] = range.with(end, value === "" ? null : Number(value));
           if (this.choice.ranges[axis.name].every((one) => one === null)) delete this.choice.ranges[axis.name];
@@ -252,7 +260,7 @@
         }
         for (const dim of this.fixedDims()) {
           const axis = this.axis(dim);
-          const options = axis.values.map((value, i) => [i, String(value)]).filter(([i]) => this.inside(dim, i));
+          const options = axis.texts.map((_, i) => [i, textAt(axis, i)]).filter(([i]) => this.inside(dim, i));
           boxes.push(this.select(`fixed-${dim}`, `${labelled(axis)} =`, options, this.index(dim), (v) => { choice.fixed[dim] = Number(v); }));
         }
         if (x.numeric && least(x.values) > 0) boxes.push(this.select("scaleX", "Scale of x", scales, choice.scaleX, (v) => { choice.scaleX = v; }));
@@ -270,9 +278,12 @@
 
     // What is known at a place along the dimensions, the other ones at the values chosen.
     at(places) {
-      const flat = this.quantity.dims.reduce((sum, dim) => sum * this.size(dim) + (places[dim] ?? this.fixed[dim]), 0);
-      const part = (name) => (this.quantity[name] ? nan(this.quantity[name][flat]) : NaN);
-      return { value: part("value"), error: part("error"), predicted: part("predicted"), published: part("published") };
+      const flat = (dims) => dims.reduce((sum, dim) => sum * this.size(dim) + (places[dim] ?? this.fixed[dim]), 0);
+      const at = flat(this.quantity.dims);
+      const part = (name) => (this.quantity[name] ? nan(this.quantity[name][at]) : NaN);
+      const exact = this.quantity.value[at]; // a text of an integer that JavaScript has no number for
+      const excluded = this.excluded.has(flat(this.data.excluded.dims));
+      return { value: part("value"), error: part("error"), predicted: part("predicted"), published: part("published"), exact, excluded };
     }
 
     fixedDims() {
@@ -282,14 +293,15 @@
 
     // The numbers of one series, or of one row of a map, in the order of x; of a table of points a map has one row.
     columns(number) {
-      const [x, other] = [this.choice.x, this.choice.series].map((name) => this.axis(name) ?? { values: [""] });
+      const [x, other] = [this.choice.x, this.choice.series].map((name) => this.axis(name) ?? { values: [""], texts: [""] });
       const alone = other.dim === x.dim;
       const rows = [];
       x.values.forEach((place, i) => {
-        if (place === null || !this.inside(x.dim, i, ...this.shown)) return;
+        if (!this.inside(x.dim, i, ...this.shown)) return;
         const j = alone ? i : number;
         const alpha = this.inside(x.dim, i) && this.inside(other.dim, j) ? 1 : 0.15;
-        rows.push({ x: place, i, j, alpha, ...this.at({ [other.dim]: j, [x.dim]: i }) });
+        const row = { x: place, i, j, alpha, place: textAt(x, i), ...this.at({ [other.dim]: j, [x.dim]: i }) };
+        if (!row.excluded || !this.data.excluded.refined) rows.push(row); // other series have points in between
       });
       return x.numeric ? rows.sort((a, b) => a.x - b.x) : rows;
     }
@@ -362,10 +374,10 @@
       const kinds = [];
       everything.forEach((rows, k) => {
         const number = drawn[k];
-        const name = series ? String(series.values[number]) : quantity.name;
+        const name = series ? textAt(series, number) : quantity.name;
         kinds.push(this.series(figure, rows, { name, number, numeric, joined: numeric && x.ordered && !quantity.truth, factors, logY }));
         const renderers = Object.values(kinds[k]).flat();
-        if (renderers.length) legend.push(new Bokeh.LegendItem({ label: plain(series ? `${series.name} = ${name}` : name), renderers }));
+        if (renderers.length) legend.push(new Bokeh.LegendItem({ label: plain(series ? valued(series, number) : name), renderers }));
       });
       for (const [part, text] of [["predicted", "predicted"], ["published", "published"], ["error", "one-sigma error"]]) {
         const renderers = kinds.flatMap((one) => one[part]);
@@ -381,8 +393,9 @@
     // Cells of a grid, or dots of a table of points, in colours of the quantity.
     map(figure, rows, x, y, { logX, logY, logValue, ink }) {
       const [alongX, alongY] = [cells(x, logX), cells(y, logY)];
-      const known = rows.filter((row) => Number.isFinite(row.value) && alongX.has(row.i) && alongY.has(row.j));
-      const columns = { ...this.texts(), number: (row) => row.value, place: (row) => String(x.values[row.i]), name: (row) => String(y.values[row.j]) };
+      const isDots = x.dim === y.dim;
+      const known = rows.filter((row) => Number.isFinite(row.value) && !(isDots && (x.values[row.i] === null || y.values[row.j] === null)));
+      const columns = { ...this.texts(), number: (row) => row.value, place: (row) => row.place, name: (row) => textAt(y, row.j) };
       ["left", "x", "right"].forEach((name, k) => { columns[name] = (row) => alongX.get(row.i)[k]; });
       ["bottom", "y", "top"].forEach((name, k) => { columns[name] = (row) => alongY.get(row.j)[k]; });
       const source = sourceOf(columns, known);
@@ -390,7 +403,7 @@
       const mapper = new Bokeh[logValue ? "LogColorMapper" : "LinearColorMapper"]({ palette: Bokeh.Palettes.Cividis256, low, high });
       const look = { source, fill_color: { field: "number", transform: mapper }, fill_alpha: { field: "alpha" }, line_color: null };
       const [left, right, bottom, top, atX, atY] = ["left", "right", "bottom", "top", "x", "y"].map((field) => ({ field }));
-      const drawn = x.dim === y.dim ? figure.scatter(atX, atY, { ...look, size: 9 }) : figure.quad(left, right, bottom, top, look);
+      const drawn = isDots ? figure.scatter(atX, atY, { ...look, size: 9 }) : figure.quad(left, right, bottom, top, look);
       this.hover(figure, [drawn], x);
       const place = this.element.clientWidth < 500 ? "below" : "right";
       const text = { title_text_color: ink, major_label_text_color: ink, title_text_font_style: "normal", background_fill_alpha: 0 };
@@ -409,7 +422,7 @@
         if (!final) return;
         for (const axis of axes) {
           const range = [geometry[`${along(axis)}0`], geometry[`${along(axis)}1`]];
-          const under = axis.values.filter((value) => value !== null && within(value, range));
+          const under = [...axis.texts.keys()].map((i) => numberAt(axis, i)).filter((value) => within(range, value));
           if (under.length) this.choice.ranges[axis.name] = [least(under), largest(under)];
         }
         this.change("all");
@@ -422,7 +435,8 @@
         const heads = [...table.tHead.rows[0].cells].map((cell) => cell.textContent);
         const tests = Object.entries(this.choice.ranges).map(([name, range]) => [heads.indexOf(labelled(this.axis(name))), range]).filter(([column]) => column >= 0);
         const rows = [...table.tBodies[0].rows];
-        for (const row of rows) row.hidden = !tests.every(([column, range]) => within(Number(row.cells[column].dataset.value ?? NaN), range));
+        const numbers = (cell) => [cell.dataset.value ?? NaN, cell.textContent || NaN].map(Number);
+        for (const row of rows) row.hidden = !tests.every(([column, range]) => within(range, ...numbers(row.cells[column])));
         const kept = rows.filter((row) => !row.hidden).length;
         table.caption.dataset.brushed = tests.length ? `${this.inWords()}: ${kept} of ${rows.length} rows. ` : "";
       }
@@ -444,7 +458,7 @@
 
     // A name that occurs twice along an axis gets its position as a number.
     factors(axis) {
-      const names = axis.values.map((value) => (value === null ? "missing" : plain(value)));
+      const names = axis.texts.map((_, i) => plain(textAt(axis, i)));
       const first = new Map(names.map((name, i) => [name, i]).reverse());
       return names.map((name, i) => (first.get(name) === i ? name : `${name} (${i + 1})`));
     }
@@ -471,25 +485,29 @@
         ...this.texts(),
         x: place,
         name: () => name,
-        place: (row) => (row.x === "" ? "" : String(row.x)),
+        place: (row) => row.place,
         low: (row) => lowest(row.value, row.error > 0 ? row.error : 0),
         high: (row) => row.value + (row.error > 0 ? row.error : 0),
       };
       const kinds = { line: [], predicted: [], error: [], value: [], published: [] };
-      const heights = rows.map((row) => (logY && row.value <= 0 ? NaN : row.value));
+      const there = rows.filter((row) => row.x !== null);
+      const heights = there.map((row) => (logY && row.value <= 0 ? NaN : row.value));
       if (joined && heights.filter(Number.isFinite).length > 1) {
-        kinds.line.push(figure.line(rows.map(place), heights, { line_color: tint, line_width: 1, line_alpha: 0.55 }));
+        kinds.line.push(figure.line(there.map(place), heights, { line_color: tint, line_width: 1, line_alpha: 0.55 }));
       }
-      const put = (kind, part, draw, style) => {
-        const kept = rows.filter((row) => Number.isFinite(row[part]) && !(logY && row[part] <= 0));
+      const put = (kind, part, draw, style, some = there) => {
+        const kept = some.filter((row) => Number.isFinite(row[part]) && !(logY && row[part] <= 0));
         const source = sourceOf({ ...columns, y: (row) => row[part] }, kept);
         if (kept.length) kinds[kind].push(draw({ source, line_color: tint, line_alpha: { field: "alpha" }, ...style }));
       };
       const [atX, atY, low, high] = ["x", "y", "low", "high"].map((field) => ({ field }));
+      const axis = this.axis(this.choice.x);
       const mark = (style) => figure.scatter(atX, atY, style);
       put("predicted", "predicted", mark, { marker: "dash", size: 22, line_width: 2 }); // known at the points alone
       if (this.quantity.error) put("error", "value", (style) => figure.segment(atX, low, atX, high, style), { line_width: 1.5 });
       put("value", "value", mark, { marker, size: 7, fill_color: tint, fill_alpha: { field: "alpha" } });
+      const level = (style) => figure.segment({ value: least(axis.values) }, atY, { value: largest(axis.values) }, atY, style);
+      put("value", "value", level, { line_dash: "dotted", line_width: 1.5 }, rows.filter((row) => row.x === null)); // x has no effect
       put("published", "published", mark, { marker, size: 14, fill_alpha: 0, line_width: 1.5 });
       return kinds;
     }
@@ -509,11 +527,12 @@
 
     // What the source of a plot has for every row beside its place.
     texts() {
+      const { digits } = this.quantity;
       return {
         alpha: (row) => row.alpha,
-        value: (row) => (this.quantity.truth ? ["False", "True"][row.value] : withError(row.value, row.error)),
-        predicted: (row) => shown(row.predicted),
-        published: (row) => shown(row.published),
+        value: (row) => (this.quantity.truth ? ["False", "True"][row.value] : typeof row.exact === "string" ? row.exact : withError(row.value, row.error, digits)),
+        predicted: (row) => shown(row.predicted, digits),
+        published: (row) => shown(row.published, digits),
       };
     }
 
@@ -527,8 +546,9 @@
 
     note(flat, total, drawn, logValue) {
       const { choice, quantity } = this;
-      const fixed = this.fixedDims().filter((dim) => this.size(dim) > 1).map((dim) => `${dim} = ${this.axis(dim).values[this.fixed[dim]]}`);
-      const gone = flat.filter((row) => !Number.isFinite(row.value)).length;
+      const fixed = this.fixedDims().filter((dim) => this.size(dim) > 1).map((dim) => valued(this.axis(dim), this.fixed[dim]));
+      const asked = flat.filter((row) => !row.excluded);
+      const gone = asked.filter((row) => !Number.isFinite(row.value)).length;
       const isMap = choice.kind === "map";
       const sentences = [
         fixed.length && `At ${fixed.join(", ")}.`,
@@ -538,7 +558,7 @@
         !isMap && quantity.predicted && "Dashes are predicted.",
         !isMap && quantity.published && "Published values are large open symbols.",
         drawn < total && `The first ${drawn} of ${total} series are drawn; exchange x and series, or show a map, to see all.`,
-        gone && `${gone} of ${flat.length} values are missing and not drawn.`,
+        gone && `${gone} of ${asked.length} values are missing and not drawn.`,
         (choice.scale || quantity.scale) === "log" && !logValue && "There are values that are not above zero: the scale stays linear.",
       ].filter(Boolean);
       this.element.querySelector(".status").textContent = sentences.join(" ");

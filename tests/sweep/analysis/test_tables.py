@@ -1,13 +1,18 @@
 """What tables and sentences show of results: exact integers and gaps, components, units that read well."""
 
 import json
+import math
+import re
 
 import numpy as np
 import xarray as xr
 from astropy.table import Table
+from hypothesis import given, settings, strategies as st
 
 import linksweep
-from tests.sweep.analysis.made import grid, shown, text_of
+from linksweep.sweep.analysis.quantity import select
+from tests.sweep.analysis.made import answers, grid, shown, text_of
+from tests.tiers import examples
 
 LARGE = 2**60
 
@@ -49,6 +54,43 @@ def test_integers_are_exact_beside_gaps_in_tables_and_in_the_dataset(tmp_path, s
     linksweep.run(large, tmp_path / "s.zarr", axes={"a": [2**54, 2**54 + 1]}, pool="serial")
     (row,) = json.loads(shown("show", tmp_path / "s.zarr", "--at", f"a={2**54 + 1}", "--json"))["rows"]
     assert row["small"] == 2**54 + 1
+
+
+@given(
+    start=st.sampled_from([0.0, 1.0, -3e-7, 59000.0, 2460000.0, 1420405751.768, 2.0**30]),
+    step=st.sampled_from([0.1, 1.0, 1.0 / 3.0, 0.04, 1e-4]),
+    unevenness=st.sampled_from([0.0, 0.5]),
+    seed=st.integers(0, 99),
+)
+@settings(max_examples=examples(100))
+def test_a_value_of_an_axis_is_shown_so_that_it_can_be_told_from_others_and_chosen(start, step, unevenness, seed):
+    places = np.arange(8) + unevenness * np.random.default_rng(seed).random(8)
+    x = (start + step * places).tolist()
+    dataset = grid(1.0, x=x)
+    texts = [cells[1] for line in text_of(dataset).splitlines() if (cells := line.split())[:1] == ["old"]]
+    assert len(set(texts)) == len(x)
+    assert np.abs(np.array(texts, dtype=float) - x).max() <= step / 50.0
+    assert max(map(len, texts)) <= (18 if unevenness else len(f"{start:.3f}") + 7)
+    for text, value in zip(texts, x, strict=True):
+        assert select(dataset, {"n": text})["n"].item() == value
+
+
+def lit(jd: float, w: float = 1.0):
+    return {"flux": 2.0 + math.sin(w * (jd - 2460000.0)), "freq": 1420405751.768 + w * (jd - 2460000.0)}
+
+
+def test_days_are_told_apart_wherever_they_are_shown(tmp_path):
+    store, jd = tmp_path / "lc.zarr", [2460000.0 + 0.1 * i for i in range(11)]
+    linksweep.run(lit, store, axes={"jd": jd, "w": [1.0, 2.0]}, pool="serial")
+    days = [line.split()[0] for line in shown("show", store, "--at", "w=1").splitlines() if "246" in line]
+    assert days == [f"{day:.10g}" for day in jd]
+    assert "2.1" in shown("show", store, "--at", "w=1", "--at", f"jd={days[1]}")
+    found = shown("find", store, "--over", "jd", "--where", "freq > 1420405752")
+    assert re.findall(r"from (\S+)", found) == ["2460000.23", "2460000.12"]
+    assert "freq > 1420405752 along" in found
+    assert "at 2460001 is nearest" in shown("find", store, "--over", "jd", "--where", "flux > 9")
+    assert "2460000.50" in shown("fit", store, "--over", "jd", "--variable", "freq").split()
+    assert "(jd=2460000.8, w=2)" in " ".join(answers(linksweep.open(store))[0].sentences)
 
 
 def test_a_prediction_is_shown_with_its_parts_and_a_published_number_with_the_difference():

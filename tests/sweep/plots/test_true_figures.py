@@ -11,7 +11,8 @@ from matplotlib.container import ErrorbarContainer
 from matplotlib.text import Text
 
 import linksweep
-from linksweep import SweepError
+from linksweep import Output, SweepError, experiment
+from linksweep.sweep.analysis import quantity
 from linksweep.sweep.plots import style
 from tests.tiers import examples, slow
 
@@ -73,6 +74,33 @@ def test_a_study_chooses_and_a_call_overrides_it(tmp_path):
     again = linksweep.run(study | {"figure": {"linear": ["area"]}}, tmp_path / "a.zarr", pool="serial")
     assert scales(again) == ("linear", "linear")
     assert "scale" not in again["area"].attrs
+
+
+def test_series_of_close_values_and_of_times_have_colours_and_names_of_their_own(tmp_path):
+    def flux(mjd: float, period: float):
+        return {"flux": mjd * period}
+
+    days = [59000.04, 59000.08, 59000.12]
+    dataset = linksweep.run(flux, tmp_path / "s.zarr", axes={"mjd": days, "period": [1.0, 2.0]}, pool="serial")
+    [axes] = linksweep.plot(dataset, "lines", over="period").axes
+    assert len({line.get_color() for line in axes.lines if len(line.get_xdata())}) == 3
+    names = axes.get_legend_handles_labels()[1]
+    assert {name for name in names if "59000" in name} == {f"mjd = {day}" for day in days}
+
+
+def test_times_along_a_dimension_are_days_in_words_figures_and_options(tmp_path):
+    days = np.array(["2020-01-01", "2020-01-02", "2020-01-03"], dtype="datetime64[D]")
+
+    @experiment(outputs=[Output("u", "K", dims="time", coords={"time": (days, "")})])
+    def watch(k: float):
+        return {"u": k * np.arange(1.0, 4.0)}
+
+    dataset = linksweep.run(watch, tmp_path / "s.zarr", axes={"k": [1.0, 2.0]}, pool="serial")
+    [axes] = linksweep.plot(dataset, "lines", over="k").axes
+    assert {*axes.get_legend_handles_labels()[1]} >= {*map(str, days)}
+    for day in (str(days[2]), days[2], days[2].item(), f"{days[2]}T00:00"):
+        assert quantity.select(dataset, {"time": day})["u"].values.tolist() == [3.0, 6.0]
+    assert "time=2020-01-03" in linksweep.answer(dataset).sentences[0]
 
 
 def test_a_logarithm_needs_numbers_above_zero(tmp_path):

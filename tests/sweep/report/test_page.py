@@ -78,10 +78,26 @@ def test_the_view_holds_the_numbers_of_the_dataset_in_their_order(results):
     wanted = {"value": results["sigma_spin"], "error": error, "published": results["sigma_spin_published"]}
     for name, array in wanted.items():
         values = array.transpose(*order).values.ravel()
-        assert np.array(quantity[name], dtype=float) == pytest.approx(values, rel=1e-6, nan_ok=True)  # seven digits
+        assert np.array(quantity[name], dtype=float) == pytest.approx(values, rel=1e-14, nan_ok=True)
     assert None in quantity["published"]
     parts = ("value", "error", "predicted", "published", "published_rounding")
     assert used == sum(len(q[part]) for q in found["quantities"] for part in parts if part in q)
+
+
+def test_the_view_has_axes_and_integers_exactly_and_knows_what_nobody_asked_for(tmp_path):
+    def lit(jd: float, k: int = 1):
+        return {"n": 2**60 + k, "small": 123456780 + k}
+
+    jd = [2460000.0 + 0.1 * i for i in range(11)]
+    study = {"experiment": lit, "axes": {"jd": jd, "k": [1, 2]}}
+    found, *_ = explorer(linksweep.run(study, tmp_path / "s.zarr", pool="serial"), [], 10**6)
+    axes, views = ({one["name"]: one for one in found[part]} for part in ("axes", "quantities"))
+    assert axes["jd"]["values"] == jd
+    assert axes["jd"]["texts"] == ["2460000", *(f"2460000.{i}" for i in range(1, 10)), "2460001"]
+    assert views["n"]["value"] == [str(2**60 + 1), str(2**60 + 2)] * 11
+    assert views["small"]["value"] == [123456781, 123456782] * 11
+    part = linksweep.run(study | {"exclude": [{"jd": jd[1], "k": 2}]}, tmp_path / "t.zarr", pool="serial")
+    assert explorer(part, [], 10**6)[0]["excluded"] == {"dims": ["jd", "k"], "at": [3], "refined": False}
 
 
 @pytest.fixture(scope="session")

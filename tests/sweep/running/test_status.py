@@ -181,6 +181,7 @@ def test_counts_of_events_are_those_of_the_store(run_f, tmp_path, fails, options
     ended = [event for event in events if event["event"] == "points"]
     for key in ("done", "failed"):
         assert events[0][key] + sum(event[key] for event in ended) == points[key]
+    assert events[-1]["failed"] == points["failed"]
     assert sum(event["event"] == "failed" for event in events) == points["failed"]
     assert (events[0]["event"], events[0]["points"]) == ("started", sum(points.values()))
     assert (code, events[-2]["event"]) == (wanted, "written")
