@@ -5,7 +5,7 @@ done to the rows, and the unknowns; of a Parquet table of millions of quasars on
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
-from itertools import product
+from itertools import permutations, product
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from linksweep.core.frames import ARCSEC, DEGREE, GALACTIC_AXES, MAS, Array, Indices, triad
+from linksweep.core.frames import ARCSEC, DEGREE, GALACTIC_AXES, MAS, Array, Indices, position, triad
 from linksweep.core.link import LinkError
 from linksweep.core.tie import astrometry as core
 from linksweep.core.tie.astrometry import Astrometry, kinds, named_rows
@@ -51,6 +51,9 @@ EVERY_SOURCE = "the satellite's sources"
 DEFAULT_RADIUS_ARCSEC = 1.0
 # Separations from the source of the same name above which a row is noted, and is refused.
 FAR_DEG, FARTHEST_DEG = 10.0 / 3600.0, 1.0
+
+# Frames of astropy that positions may be in by mistake.
+OTHER_FRAMES = {"fk4": "of the equinox B1950", "galactic": "galactic", "barycentricmeanecliptic": "ecliptic"}
 
 # Rows of a source within two days may be the same measurement.
 SAME_EPOCH_YR = 0.005
@@ -390,16 +393,23 @@ def _directions(sources: Astrometry, epoch: Array) -> Array:
 def far_rows(satellite: AstrometricTable, table: AstrometricTable, matched: Match) -> list[str]:
     """Return a note on rows far from their sources; raises SweepError if they cannot be the same objects."""
     there, here = satellite.astrometry.taken(matched.source), table.astrometry.taken(matched.rows)
+    both = (satellite.path, _directions(there, here.epoch)), (table.path, triad(*here.values[:2]).r)
     with np.errstate(invalid="ignore"):
-        between = np.linalg.norm(triad(*here.values[:2]).r - _directions(there, here.epoch), axis=0)
+        between = np.linalg.norm(both[1][1] - both[0][1], axis=0)
     apart = np.nan_to_num(2.0 * np.arcsin(np.minimum(0.5 * between, 1.0)) / DEGREE)
     refused = np.any(apart > FARTHEST_DEG)
     far = np.flatnonzero(apart > (FARTHEST_DEG if refused else FAR_DEG))
     if not len(far):
         return []
+    from astropy.coordinates import SkyCoord
+
     size = f"{apart[far].max():.3g} deg" if refused else f"{apart[far].max() * 3600.0:.3g} arcsec"
     whose = "their source" if matched.by.startswith("position") else "the source of the same name"
     note = f"{named_rows(matched.rows[far])} of {Path(table.path).name}: up to {size} from {whose}"
+    for ((path, one), (_, other)), (frame, words) in product(permutations(both), OTHER_FRAMES.items()):
+        turned = SkyCoord(*position(one[:, far]), unit="rad", frame=frame).icrs.cartesian.xyz.value
+        if np.median(np.linalg.norm(turned - other[:, far], axis=0)) < DEGREE / 60.0:
+            raise SweepError(f"{note}; are the positions of {Path(path).name} {words}?")
     elsewhere = _elsewhere(satellite, table, matched, far)
     if refused:
         question = "are the names right, the epochs, and the units of the positions?"

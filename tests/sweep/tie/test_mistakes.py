@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from astropy.coordinates import SkyCoord
 from astropy.table import Column
 from click.testing import CliRunner
 from hypothesis import given, settings, strategies as st
@@ -93,6 +94,14 @@ def names_exchanged(table, rng):
     table["source_id"] = [{one: other, other: one}.get(name, name) for name in table["source_id"]]
 
 
+def in_frame(frame):
+    def change(table, rng):
+        there = SkyCoord(table["ra"], table["dec"], unit="deg").transform_to(frame).spherical
+        table["ra"], table["dec"] = there.lon.deg, there.lat.deg
+
+    return change
+
+
 MISTAKES = {
     "mu_alpha": ("satellite", WITHOUT_COS, "pmra of the satellite is mu_alpha"),
     "mu_alpha there": ("reference", WITHOUT_COS, "pmra of the reference is mu_alpha"),
@@ -120,10 +129,13 @@ MISTAKES = {
     "one row twice": ("reference", twice_with_other_digits, "(nearly the|the same) numbers (of|as) another row"),
     "errors that are NaN": ("reference", errors_nan, "rows have no error of ra, dec"),
     "names exchanged": ("reference", names_exchanged, "exchanged"),
+    "B1950": ("reference", in_frame("fk4"), r"positions of reference.fits of the equinox B1950\?"),
+    "ecliptic": ("satellite", in_frame("geocentricmeanecliptic"), r"positions of satellite.fits ecliptic\?"),
+    "galactic": ("reference", in_frame("galactic"), r"positions of reference.fits galactic\?"),
 }
 QUICK = {
     *("mu_alpha", "half a year early there", "one star reversed", "errors in uas", "one row twice"),
-    *("motion errors in uas", "one parallax missing"),
+    *("motion errors in uas", "one parallax missing", "B1950", "ecliptic"),
 }
 
 
