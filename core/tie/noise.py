@@ -106,11 +106,10 @@ def noises(problem: Problem, jitter: Mapping[str, Mapping[str, Any]]) -> dict[st
         )
     for kind, at, _ in chosen:
         if (number := np.count_nonzero(at)) < FEWEST:
-            rows = "sources" if kind == SATELLITE else f"rows of the kind {kind}"
-            count = f"an estimate needs {FEWEST} {rows}, and there are {number}"
-            of_kind = f"say how large it is, as in --jitter '{kind}=0.1'"
-            advice = "leave out estimate, which is of the satellite too" if kind == SATELLITE else of_kind
-            raise LinkError(f"jitter estimate: {count}; {advice}")
+            rows, advice = f"rows of the kind {kind}", f"say how large it is, as in --jitter '{kind}=0.1'"
+            if kind == SATELLITE:
+                rows, advice = "sources", "leave out estimate, which is of the satellite too"
+            raise LinkError(f"jitter estimate: it needs {FEWEST} {rows}, and there are {number}; {advice}")
     wanted: dict[str, Flags] = {}
     for name, at, present in chosen:
         for quantity, which in QUANTITIES.items():

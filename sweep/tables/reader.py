@@ -116,7 +116,8 @@ def _read(path: Path, content: bytes, texts: Collection[str]) -> Any:
     if start.startswith(b"simple  ="):
         return _fits(content)
     if start.startswith(b"par1"):
-        return _whole_parquet(content)
+        with _parquet(io.BytesIO(content)) as file:
+            return _from_arrow(file.read())
     if b"<html" in start or b"<!doctype html" in start:
         raise SweepError("is a web page, not a table")
     if start.startswith(b"<"):
@@ -468,11 +469,6 @@ def read_row_group(path: Path, group: int, columns: Sequence[str]) -> Any:
         wanted = tuple(f"{column}." for column in columns)  # astropy's mask of NAME is NAME.mask
         names = [name for name in file.schema_arrow.names if f"{name}.".startswith(wanted)]
         return _from_arrow(file.read_row_group(group, columns=names, use_threads=False), columns)
-
-
-def _whole_parquet(content: bytes) -> Any:
-    with _parquet(io.BytesIO(content)) as file:
-        return _from_arrow(file.read())
 
 
 @contextmanager

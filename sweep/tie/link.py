@@ -766,9 +766,7 @@ def apply(
     if output is not None:
         try:
             write_at_once(output, raw.write)  # it warns of long names in a FITS header
-        except SweepError:
-            raise
-        except Exception as error:  # each format has others for what it cannot hold
+        except (ValueError, TypeError, AttributeError, NotImplementedError) as error:  # each format has its own
             raise SweepError(f"{output.suffix} cannot hold the table: {error}; write .ecsv", str(output)) from error
     return raw
 
@@ -820,8 +818,8 @@ def _moved(stars: Astrometry, link: "xr.Dataset", inverse: bool) -> dict[str, Ar
     ra, dec = position(r.T)
     axes = triad(ra, dec)[:2]
     values = stars.values.copy()
-    in_halves = np.any(values[0] < 0.0)  # -180..180 deg
-    values[:2] = (ra + np.pi) % (2.0 * np.pi) - np.pi if in_halves else ra, dec
+    # in -180..180 deg where the table is
+    values[:2] = (ra + np.pi) % (2.0 * np.pi) - np.pi if np.any(values[0] < 0.0) else ra, dec
     values[3:] = np.where(np.isfinite(values[3:]), [np.sum(axis * velocity.T, axis=0) for axis in axes], np.nan)
     effect = ROTATION.matrix(Objects(ra, dec, *np.nan_to_num(values[3:])), years) * stars.present.T[..., None]
     # the axes of errors turn too, by so little (1e-7) that their covariance does not change

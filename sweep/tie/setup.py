@@ -412,8 +412,7 @@ def far_rows(satellite: AstrometricTable, table: AstrometricTable, matched: Matc
             raise SweepError(f"{note}; are the positions of {Path(path).name} {words}?")
     elsewhere = _elsewhere(satellite, table, matched, far)
     if refused:
-        question = "are the names right, the epochs, and the units of the positions?"
-        raise SweepError(f"{note}; {elsewhere or question}")
+        raise SweepError(f"{note}; {elsewhere or 'are the names right, the epochs, and the units of the positions?'}")
     return [f"{note}; {elsewhere}" if elsewhere else note]
 
 
@@ -687,9 +686,7 @@ class RowGroup:
 digest_once = lru_cache(maxsize=8)(files.digest_of)
 
 
-def look_through(
-    group: RowGroup, per_source: bool
-) -> tuple[Array, tuple[Array, Indices], Array | None, int, Sequence[str]]:
+def look_through(group: RowGroup, per_source: bool) -> tuple[Array, Any, Array | None, int, Sequence[str]]:
     """Return what a first look at a row group finds: one value in each bin of the column of bins; the epochs and how
     many sources have each; the positions of the sources (2, n), rad, if ``per_source``; how many move; and notes.
     """
