@@ -103,12 +103,13 @@ def harmless(text: str) -> str:
     return text.translate(LINES_ESCAPED)
 
 
-def with_error(value: Any, error: float) -> str:
-    """Return a number and its error with two digits of the error.
+def with_error(value: Any, error: float, step: float = 0.0) -> str:
+    """Return a number and its error with two digits of the error, or of a step where it has no error.
 
     Args:
         value: Any number; NaN gives an empty string.  Texts, truth values and integers are not rounded.
         error: One standard error; it is left out where it is not positive and finite.
+        step: What says the digits of a number without an error, such as that of an axis; 0 for four digits.
 
     Examples:
         >>> with_error(0.66, 0.0027)
@@ -117,7 +118,7 @@ def with_error(value: Any, error: float) -> str:
         '0.66'
     """
     if not 0.0 < error < inf:
-        return rounded(value)
+        return rounded(value, step)
     return f"{rounded(value, error)} ± {rounded(error, error) if error > 1e-8 else format(error, '.1g')}"
 
 

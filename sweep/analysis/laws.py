@@ -24,16 +24,7 @@ from linksweep.sweep.analysis import quantity
 from linksweep.sweep.analysis.tables import STEP, derived
 from linksweep.sweep.contract import FEW, SweepError, factor_between, shown, unit_problem
 from linksweep.sweep.contract.rows import FEWEST_SAMPLES, LENGTH, Array, Status, small_sample_factor
-from linksweep.sweep.formatting import (
-    LOGARITHMIC_UNITS,
-    RAGGED,
-    described,
-    plain,
-    rounded,
-    units_of,
-    with_error,
-    with_unit,
-)
+from linksweep.sweep.formatting import LOGARITHMIC_UNITS, RAGGED, described, plain, units_of, with_error, with_unit
 from linksweep.sweep.studies.record import outer_draw_of
 from linksweep.sweep.studies.study import POINT
 
@@ -860,7 +851,7 @@ def _limit(start: float, end: float, rate: float, floor: float, fall: float) -> 
 def _place_on(x: Array, place: float, error: float) -> str:
     """Return a place between the points of an axis with its error, or with two digits of the step around it."""
     after = np.searchsorted(x, place)
-    return with_error(place, error) if error > 0.0 else rounded(place, float(np.ptp(x[max(after - 1, 0) : after + 1])))
+    return with_error(place, error, float(np.ptp(x[max(after - 1, 0) : after + 1])))
 
 
 def _levelling_in_words(row: Mapping[str, float], last: float, unit: str) -> str:

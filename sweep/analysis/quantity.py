@@ -379,20 +379,16 @@ def place_at(dataset: xr.Dataset, index: Mapping[str, int]) -> dict[str, Any]:
     return places
 
 
-def place_in_words(where: Mapping[str, Any], dataset: xr.Dataset | None = None) -> str:
+def place_in_words(where: Mapping[str, Any], dataset: Any = ()) -> str:
     """Return a place on the axes as ``model=gaia, v_max=16``, its numbers as all of those axes of a dataset."""
     # one that is missing has no effect at this point
     known = {name: value for name, value in where.items() if not is_missing(value) and value != ""}
     return ", ".join(f"{name}={value_in_words(dataset, name, value)}" for name, value in known.items())
 
 
-def value_in_words(dataset: xr.Dataset | None, axis: str, value: Any) -> str:
+def value_in_words(dataset: Any, axis: str, value: Any) -> str:
     """Return a value of an axis as a text that tells it from the other values which a dataset has."""
-    others = (
-        []
-        if dataset is None or axis not in dataset.coords
-        else listed(dataset, axis, list(map(str, dataset[axis].dims)))
-    )
+    others = listed(dataset, axis, [str(d) for d in dataset[axis].dims]) if axis in dataset else []
     return plain([value, *others])[0]
 
 
@@ -433,10 +429,8 @@ def indices(dataset: xr.Dataset, places: Mapping[str, Any]) -> dict[str, list[in
         values = listed(dataset, name, [dimension])
         exact = list(dataset[name].values) if dataset[name].dtype.kind == "M" else values
         hits = {i for i, value in enumerate(exact) if _is_meant(value, wanted)}
-        texts = [] if hits else plain(values)
-        hits = hits or _shown_as(values, texts, wanted)
-        if not hits:
-            there = first_of([text or "none" for text in texts], FEW)
+        if not (hits := hits or _shown_as(values, wanted)):
+            there = first_of([text or "none" for text in plain(values)], FEW)
             problems.append(f"{name} = {wanted} is not in the grid, which has {there}")
         elif not chosen.setdefault(dimension, hits) & hits:
             problems.append(f"{name} = {wanted} is at no point with the other values that are given along {dimension}")
@@ -473,7 +467,7 @@ def _is_meant(value: object, wanted: Any) -> bool:
     return False
 
 
-def _shown_as(values: Sequence[Any], texts: Sequence[str], wanted: Any) -> set[int]:
+def _shown_as(values: Sequence[Any], wanted: Any) -> set[int]:
     """Return where the number is that was read as the one wanted: the texts of some, see `plain`, are not all of them,
     and what is wanted is much nearer to it than to any other.
     """
@@ -482,8 +476,11 @@ def _shown_as(values: Sequence[Any], texts: Sequence[str], wanted: Any) -> set[i
         number = float(wanted)
     numbers = {value for value in values if isinstance(value, int | float) and not is_missing(value)}
     first, second = [*sorted(numbers, key=lambda value: abs(value - number)), number * (1.0 + 1e-9), number][:2]
-    hits = {i for i, v in enumerate(values) if isinstance(v, float) and v == first and float(texts[i]) != v}
-    return hits if abs(first - number) < CLOSE * abs(second - number) else set()
+    is_near, pairs = (
+        abs(first - number) < CLOSE * abs(second - number),
+        enumerate(zip(values, plain(values), strict=True)),
+    )
+    return {i for i, (v, text) in pairs if is_near and isinstance(v, float) and v == first and float(text) != v}
 
 
 # What is missing

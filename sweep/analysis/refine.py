@@ -51,14 +51,13 @@ def read(goal: Goal, study: Study) -> tuple[laws.Limit, str]:
     axes = [name for name in study.axes if study.dimensions.get(name) == (name,)]
     numeric = [name for name in axes if sum(map(is_number, study.axes[name])) > 1]
     over = along or (numeric[0] if len(numeric) == 1 else "")
+    which = f"along = {along}: axes of several numbers are" if along else "name the axis with along (--along):"
     wrong = {
         f"within = {within}: find needs a number above 0, in the unit of the axis": find and within is None,
         f"within = {within}: must be above 0 in the unit of the axis": within is not None and not 0 < within < math.inf,
         f"variable = {goal['variable']}: does not go with find": find and goal["variable"] is not None,
         f"{until}: write 'error < 0.002'": until and (limit.variable + limit.sign != "error<" or limit.number <= 0),
-        f"along = {along}: axes of several numbers are {', '.join(numeric) or 'not there'}": over
-        and over not in numeric,
-        f"name the axis with along (--along): {' or '.join(numeric) or 'none has several numbers'}": not over,
+        f"{which} {', '.join(numeric) or 'not there'}": over not in numeric,
         f"no output {variable}{suggest(str(variable), outputs)}": is_known and variable not in (None, *outputs),
     }
     if sentences := [sentence for sentence, is_so in wrong.items() if is_so]:

@@ -301,10 +301,9 @@ def _derived_table(result: xr.Dataset) -> Table:
             columns += [Column(name, values, values, wrap=24)] if any(values) else []
             continue
         unit, factor = formatting.prefixed(values, its[name].unit)
-        is_known, step = f"{name}_error" in its, result[name].attrs.get(STEP, 0.0)
-        errors = its[f"{name}_error"].values if is_known else [step] * len(values)
-        form = formatting.with_error if is_known else formatting.rounded
-        cells = [form(factor * v, factor * e) for v, e in zip(values, errors, strict=True)]
+        errors = its[f"{name}_error"].values if f"{name}_error" in its else [0.0] * len(values)
+        step = factor * result[name].attrs.get(STEP, 0.0)
+        cells = [formatting.with_error(factor * v, factor * e, step) for v, e in zip(values, errors, strict=True)]
         # the last are left out first where there is no room
         columns += [Column(name, values, cells, unit, name, rank)] if any(cells) else []
     return Table(columns, str(result.attrs.get("title", "")))

@@ -167,7 +167,7 @@ def _draw(whole: xr.Dataset, part: xr.Dataset, kind: str, variables: list[str], 
     """Return a figure with the title of the study, the values that all points share, and whether points are missing."""
     figure: Figure = KINDS["grid"][kind].load().draw(part, variables, over)
     axes = [str(n) for n, c in part.coords.items() if not c.dims and not str(n).endswith("_unit")]
-    shared = ", ".join(style.value_text(part, name, quantity.listed(part, name, [])[0]) for name in axes)
+    shared = style.values_text(part, {name: quantity.listed(part, name, [])[0] for name in axes})
     words = f"INCOMPLETE: {quantity.lacking(part)}" if _is_unfinished(part) else ""
     figure.set_label(title := str(whole.attrs.get("title", "")))
     style.complete(figure, "\n".join(filter(None, (title, shared, words))))

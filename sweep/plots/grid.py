@@ -115,15 +115,13 @@ def series_of(dataset: xr.Dataset, variable: str, *along: str) -> list[tuple[str
     except those it is drawn ``along``, that has a value, with its name; raises SweepError for more parts than colours.
     """
     others = [str(d) for d in dataset[variable].dims if d not in along]
-    parts = [
-        (place, one)
-        for place in quantity.places_along(dataset, others)
-        if np.isfinite((one := dataset.isel(place))[variable].values).any()  # a study may exclude the others
-    ]
+    everything = [dataset.isel(place) for place in quantity.places_along(dataset, others)]
+    parts = [one for one in everything if np.isfinite(one[variable].values).any()]  # a study may exclude the others
     if len(parts) > len(style.COLOURS):
         raise _too_many(dataset, others)
     named = [d for d in others if d in dataset.coords and dataset.sizes[d] > 1]
-    return [(style.place_text(dataset, {d: place[d] for d in named}), one) for place, one in parts]
+    values = [{d: quantity.listed(one, d, [])[0] for d in named} for one in parts]
+    return [(style.values_text(dataset, place), one) for place, one in zip(values, parts, strict=True)]
 
 
 def draw_panels(dataset: xr.Dataset, variables: list[str], layout: Layout, draw: Draw, alike: bool = False) -> Figure:
@@ -182,7 +180,8 @@ def _panels(
                 wholes[shares] = whole.assign({name: whole[name].assign_attrs({style.SCALE: scale})})
             part = wholes[shares].isel({d: i for d, i in place.items() if d not in alone})
             if np.isfinite(part[name].values.astype(float)).any():
-                yield _Panel(part, name, style.place_text(dataset, place), shares)
+                values = {d: quantity.listed(dataset, d, [d])[i] for d, i in place.items()}
+                yield _Panel(part, name, style.values_text(dataset, values), shares)
 
 
 # Lines
@@ -419,7 +418,7 @@ def _law_figure(dataset: xr.Dataset, variables: list[str], along: Sequence[str])
     for number, line in enumerate(line for line in made.lines if len(line.x)):
         x, y, errors = line.x, line.y, line.errors
         look, place = style.marks(number, 3.5, len(steps)), made.place(line)
-        words = ", ".join(style.value_text(dataset, d, place[d]) for d in made.dims if made.grid.sizes[d] > 1)
+        words = style.values_text(dataset, {d: place[d] for d in made.dims if made.grid.sizes[d] > 1})
         error = np.nan_to_num(errors if errors.ndim == 1 else np.sqrt(np.diag(errors)))
         law, fine = result.isel(line.index), np.geomspace(x.min(), x.max(), 100)
         names = ("exponent", "exponent_error", "amplitude", "amplitude_error", "correlation", "pivot")

@@ -276,10 +276,9 @@ def value_text(dataset: xr.Dataset, axis: str, value: Any) -> str:
     return f"{symbol(axis, dataset[axis].attrs)} = {quantity.value_in_words(dataset, axis, value)} {unit}".rstrip()
 
 
-def place_text(dataset: xr.Dataset, index: Mapping[str, int]) -> str:
-    """Return the values at an index along dimensions as a legend names them."""
-    places = quantity.place_at(dataset, index)
-    return ", ".join(value_text(dataset, d, places[d]) for d in index)
+def values_text(dataset: xr.Dataset, values: Mapping[str, Any]) -> str:
+    """Return values of axes as a legend names them."""
+    return ", ".join(value_text(dataset, axis, value) for axis, value in values.items())
 
 
 def plain(text: str) -> str:

@@ -17,7 +17,6 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from importlib import metadata, resources
-from math import floor, log10
 from pathlib import Path
 from socketserver import ThreadingMixIn
 from typing import Any, NamedTuple
@@ -232,14 +231,14 @@ def explorer(dataset: xr.Dataset, first: Sequence[str], room: int) -> tuple[dict
     dims = list(dict.fromkeys(d for view in views for d in view["dims"]))
     status = dataset["status"]
     # points that the study leaves out are not missing, and nobody asked for those between the points of a refinement
-    left = {"dims": list(status.dims), "at": np.flatnonzero(status.values == Status.EXCLUDED).tolist()}
-    left["refined"] = REFINED in dataset.attrs
+    at = np.flatnonzero(status.values == Status.EXCLUDED).tolist()
+    left = {"dims": list(status.dims), "at": at, "refined": REFINED in dataset.attrs}
     return {"quantities": views, "axes": list(_axes(dataset, dims)), "excluded": left}, used, left_out
 
 
 def _quantity(dataset: xr.Dataset, name: str, parts: dict[str, xr.DataArray]) -> dict[str, Any]:
     array = dataset[name]
-    unit, factors, components = formatting.units_of(array.attrs), None, {}
+    unit, factors, components = formatting.units_of(array.attrs), xr.DataArray(1), {}
     with_units = [str(d) for d in array.dims if f"{d}_unit" in dataset.coords]  # a unit for each component
     if "," in unit and len(with_units) == 1:
         (dim,) = with_units
@@ -249,22 +248,15 @@ def _quantity(dataset: xr.Dataset, name: str, parts: dict[str, xr.DataArray]) ->
         unit, components = "", {"unit_dim": dim, "units": [formatting.written(one.unit) for one in chosen]}
     elif "," in unit:  # of each element of a matrix
         unit = ", ".join(dict.fromkeys(part.strip(" ()") for part in unit.split(",")))
-    known = abs(array.values[np.isfinite(array.values)]).astype(float)
-    span = float(np.ptp(array.values[np.isfinite(array.values)].astype(float)))
-    digits = 6 + max(0, floor(log10(known.max() / span))) if span > 0.0 else 15
     return {
         "name": name,
         "unit": formatting.written(unit),
-        "digits": 17 if array.dtype.kind == "i" else min(digits, 17),
         **components,
         "meaning": formatting.meaning_beside(name, array.attrs),
         "dims": list(map(str, array.dims)),
         "scale": str(array.attrs.get(style.SCALE, "")),
         "truth": formatting.is_truth(array),
-        **{
-            n: _numbers(part if factors is None else (part * factors).transpose(*part.dims))
-            for n, part in parts.items()
-        },
+        **{suffix: _numbers((part * factors).transpose(*part.dims)) for suffix, part in parts.items()},
     }
 
 
@@ -292,13 +284,9 @@ def _axes(dataset: xr.Dataset, dims: Sequence[str]) -> Iterator[dict[str, Any]]:
 
 
 def _numbers(array: xr.DataArray) -> list[Any]:
-    """Return the numbers of an array in C order, None for those that are not finite, integers beyond `EXACT` as texts.
-
-    Truth values are 0 and 1.
-    """
+    """Return the numbers of an array in C order, None where not finite, integers beyond `EXACT` as texts."""
     flat = array.values.reshape(-1).tolist()
-    numbers = [int(n) if not isinstance(n, float) or (n.is_integer() and abs(n) < EXACT) else n for n in flat]
-    return [str(n) if isinstance(n, int) and abs(n) > EXACT else formatting.finite_or(n, None) for n in numbers]
+    return [str(n) if isinstance(n, int) and abs(n) > EXACT else formatting.finite_or(n, None) for n in flat]
 
 
 # The beginning of every report: a file that does not begin with it is not replaced.

@@ -446,8 +446,7 @@ class ConclusionValue(Derived, frozen=True):
     @model_validator(mode="after")
     def _one_number(self, info: ValidationInfo) -> Self:
         if self.above is not None and self.below is not None and not self.above < self.below:
-            above, below = plain([self.above, self.below])
-            raise ValueError(f"above = {above}: is not less than below = {below}")
+            raise ValueError("above = {}: is not less than below = {}".format(*plain([self.above, self.below])))
         context, quantity = info.context, self.quantity()
         if context is None or self.choose is not None:
             return self

@@ -21,6 +21,13 @@
     const decimals = Math.max(0, 1 - Math.floor(Math.log10(error)));
     return decimals > 9 ? `${shown(value, digits)} ± ${Number(error.toPrecision(2))}` : `${value.toFixed(decimals)} ± ${error.toFixed(decimals)}`;
   };
+  // How many digits tell numbers apart: six of their span; all of integers.
+  const digitsOf = (values) => {
+    const known = values.filter(Number.isFinite);
+    const span = largest(known) - least(known);
+    if (known.every(Number.isInteger)) return 17;
+    return span > 0 ? Math.min(17, 6 + Math.max(0, Math.floor(Math.log10(largest(known.map(Math.abs)) / span)))) : 15;
+  };
   const nan = (value) => (value === null || value === undefined ? NaN : Number(value));
   const shown = (value, digits) => (Number.isFinite(value) ? String(Number(value.toPrecision(digits))) : "");
   // Whether a number is in a range: itself, or as it is shown.
@@ -100,6 +107,7 @@
       this.data = JSON.parse(document.getElementById(element.dataset.explorer).textContent);
       this.choice = untouched();
       this.excluded = new Set(this.data.excluded.at);
+      for (const one of this.data.quantities) one.digits = digitsOf(one.value);
       this.turn = 0;
       this.settle();
       this.first = JSON.stringify(this.choice);

@@ -222,6 +222,12 @@ def test_a_goal_that_is_none_is_refused_before_anything_is_written(goal, words, 
     assert not (tmp_path / "r.zarr").exists()
 
 
+def test_without_along_the_axes_are_named(tmp_path):
+    axes = {"x": [0.0, 1.0], "y": [1.0, 2.0]}
+    with pytest.raises(SweepError, match=r"--along\): x, y$"):
+        linksweep.refine(lambda x, y: x * y, "r.zarr", axes=axes, find="out > 0.5", within=0.1)
+
+
 def test_the_command_says_what_is_known_and_what_it_took(sweep, tmp_path):
     (tmp_path / "f.py").write_text("def step(x: float):\n    return float(x > 0.618)\n")
     command = ["refine", "f.py:step", "--axis", "x=0:1:0.25", "--find", "step > 0.5", "--within", "0.1", "-o", "s.zarr"]

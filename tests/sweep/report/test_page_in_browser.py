@@ -220,9 +220,9 @@ def test_hostile_texts_are_shown_as_text(show, evil_store):
     check_quiet(driver, 375)
 
 
-def rows_shown(driver):
+def rows_shown(driver, column=1):
     rows = "[...document.querySelector('#results-1 tbody').rows].filter((row) => row.offsetParent)"
-    return driver.execute_script(f"return {rows}.map((row) => Number(row.cells[1].dataset.value))")
+    return driver.execute_script(f"return {rows}.map((row) => Number(row.cells[{column}].dataset.value))")
 
 
 def enter(driver, name, text):
@@ -255,6 +255,25 @@ def test_a_range_holds_for_map_and_table_and_can_be_gone_back_from(show, store_o
     assert drawn(driver)["x"] == "v_max [mag]"
     turn(driver, driver.find_element("name", "all").click)
     assert len(rows_shown(driver)) == 26
+    assert complaints(driver) == []
+
+
+def test_a_day_is_told_from_the_next_and_what_nobody_asked_for_is_not_missing(show, tmp_path):
+    def lit(jd: float, kernel: str = "flat", gamma: float = 1.0):
+        return {"flux": gamma * (jd - 2460000.0) if kernel == "steep" else 2.5}
+
+    axes = {"kernel": ["flat", "steep"], "gamma": [1.0, 2.0, 3.0], "jd": [2460000.0 + 0.1 * i for i in range(11)]}
+    study = {"experiment": lit, "axes": axes, "when": {"gamma": {"kernel": ["steep"]}}}
+    linksweep.run(study, tmp_path / "lc.zarr", pool="serial")
+    driver, status = show([tmp_path / "lc.zarr"]), "return document.querySelector('.status').textContent"
+    enter(driver, "from-jd", "2460000.5")
+    assert sorted(rows_shown(driver, 2)) == sorted([2460000.0 + 0.1 * i for i in range(5, 11)] * 4)
+    for x, series, legend in (("jd", "gamma", ["no gamma"]), ("gamma", "kernel", ["kernel = flat", "kernel = steep"])):
+        choose(driver, "x", x)
+        choose(driver, "series", series)
+        assert drawn(driver)["legend"] in (legend, [])
+        assert "missing" not in driver.execute_script(status)
+    choose(driver, "kind", "map")
     assert complaints(driver) == []
 
 
