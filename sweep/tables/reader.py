@@ -286,7 +286,7 @@ def from_frame(frame: Any) -> Any:
         missing = column.isna().to_numpy(dtype=bool)
         kind = np.dtype(getattr(column.dtype, "numpy_dtype", "U"))
         if kind.kind in "fiub":
-            values: Any = column.to_numpy(dtype=kind, na_value=np.nan if kind.kind == "f" else 0)
+            values: Any = column.to_numpy(dtype=kind, na_value=np.nan if kind.kind == "f" else kind.type(0).item())
         else:
             texts = ("" if gone else text for text, gone in zip(column, missing, strict=True))
             decoded = [text.decode("utf-8", "replace") if isinstance(text, bytes) else str(text) for text in texts]
@@ -491,6 +491,8 @@ def _from_arrow(arrow: Any, columns: Sequence[str] | None = None) -> Any:
     if b"table_meta_yaml" in (
         arrow.schema.metadata or {}
     ):  # astropy has a column of its own for a mask, two for a time
+        if nulls := [f.name for f in arrow.schema if arrow[f.name].null_count and not pa.types.is_floating(f.type)]:
+            raise SweepError(f"has nulls in {', '.join(nulls)}, where astropy has masks: write it with astropy")
         parquet.write_table(arrow, source := io.BytesIO())
         return Table.read(source, format="parquet", include_names=columns)
     decimals = [pa.float64() if pa.types.is_decimal(field.type) else field.type for field in arrow.schema]

@@ -157,10 +157,11 @@ def test_gaps_are_kept_and_large_identifiers_beside_them(text, columns, tmp_path
 
 def test_parquet_with_gaps(tmp_path):
     parquet.write_table(
-        pa.table({"id": [2**62 + 1, None], "ra": [None, 2.5], "name": ["a", None]}), tmp_path / "t.parquet"
+        pa.table({"id": [2**62 + 1, None], "ra": [None, 2.5], "name": ["a", None], "ok": [True, None]}),
+        tmp_path / "t.parquet",
     )
     found = read_table(tmp_path / "t.parquet")
-    assert [found[n].tolist() for n in found.colnames] == [[2**62 + 1, None], [None, 2.5], ["a", None]]
+    assert [found[n].tolist() for n in found.colnames] == [[2**62 + 1, None], [None, 2.5], ["a", None], [True, None]]
 
 
 def test_parquet_of_astropy_has_its_masks_and_times(tmp_path):
@@ -175,6 +176,11 @@ def test_parquet_of_astropy_has_its_masks_and_times(tmp_path):
         assert [found[n].tolist() for n in names[:3]] == [[2**62 + 1, None], [None, 2.5], [None, "b"]]
         assert (found["ra"].unit, found["t"].jyear.tolist()) == (u.deg, [2016.0, 2017.0])
     assert read_row_group(tmp_path / "t.parquet", 0, ["ra"])["ra"].tolist() == [None, 2.5]
+    arrow = parquet.read_table(tmp_path / "t.parquet")
+    twice = pa.concat_tables([arrow, arrow.select(["ra"])], promote_options="default")
+    parquet.write_table(twice, tmp_path / "nulls.parquet")
+    with pytest.raises(SweepError, match="has nulls in id, "):  # astropy would read rounded numbers
+        read_table(tmp_path / "nulls.parquet")
 
 
 @pytest.mark.parametrize(
