@@ -340,7 +340,12 @@ class Reach:
             self._is_users(package)
         if file.endswith(EXTENSIONS):
             self._keep(f"file {Path(file).name}", digest_of(Path(file).read_bytes()))
-        acts = [one for one in tree_of(file, vars(module)).body if _is_act(one, vars(module))]
+        # What only a script does, or a type checker reads, is not executed.
+        ifs = [one for one in tree_of(file, vars(module)).body if isinstance(one, ast.If)]
+        skipped = [one for one in ifs if re.search("__name__|TYPE_CHECKING", unparsed(one.test))]
+        body = [one for one in tree_of(file, vars(module)).body if one not in skipped]
+        self._imports([one for statement in body for one in _at_import(statement)], vars(module))
+        acts = [one for one in body if _is_act(one, vars(module))]
         for one in (one for one in acts if isinstance(one, DEFINITIONS)):  # so that a message can name it
             self._code(vars(module)[one.name])
         if acts:
@@ -434,12 +439,29 @@ class Reach:
 
     def _imported(self, nodes: Iterable[ast.AST], names: Names) -> dict[str, Any]:
         """Return what the import statements in some code bind; what is not the user's is not imported for this."""
-        bound: dict[str, Any] = {}
-        for one in (inner for node in nodes for inner in ast.walk(node) if isinstance(inner, IMPORTS)):
-            if True in [self._is_users(module.partition(".")[0]) for module in modules(one, names.get("__package__"))]:
-                with suppress(Exception):  # raised again by the function where it is called
-                    exec(unparsed(one), {"__package__": names.get("__package__")}, bound)
+        bound, inside, package = (
+            dict[str, Any](),
+            [one for node in nodes for one in ast.walk(node)],
+            names.get("__package__"),
+        )
+        for one in inside:
+            with suppress(Exception):  # raised again by the function where it is called
+                if isinstance(one, IMPORTS):
+                    if True in [self._is_users(module.partition(".")[0]) for module in modules(one, package)]:
+                        exec(unparsed(one), {"__package__": package}, bound)
+                elif isinstance(one, ast.Call) and unparsed(one.func).endswith(("import_module", "__import__")):
+                    name = importlib.util.resolve_name(ast.literal_eval(one.args[0]), package)
+                    self._code(importlib.import_module(name) if self._is_users(name) else None)
+        self._imports(inside, names)
         return bound
+
+    def _imports(self, nodes: Iterable[ast.AST], names: Names) -> None:
+        """Follow the user's modules that some code imports, for what they do meanwhile."""
+        for one in (one for one in nodes if isinstance(one, IMPORTS)):
+            for module, alias in zip(modules(one, names.get("__package__")), one.names, strict=False):
+                for name in (module, f"{module}.{alias.name}"):
+                    if distributions_of(name) is None:
+                        self._is_users(name)
 
 
 def modules(node: ast.Import | ast.ImportFrom, package: str | None) -> list[str]:
@@ -588,8 +610,6 @@ def _is_act(statement: ast.stmt, names: Names) -> bool:
     calls what may, or defines what a decorator gives to them.  A script goes on after a run: only what it changes of
     modules, and what it has defined, is more than its own affair.
     """
-    if isinstance(statement, ast.If) and "__name__" in unparsed(statement.test):  # what only a script does
-        return False
     nodes = [*_at_import(statement)]
     changed = [*_changed(nodes)]
     called = [one for one in nodes if isinstance(one, ast.Expr) and not isinstance(one.value, ast.Constant)]

@@ -48,6 +48,7 @@ LINKS = {  # what a module has to define so that NAME(x) calls INNER(x), which I
     "enum of functions": "from enum import Enum\nfrom functools import partial\n\nclass E_NAME(Enum):\n    A = partial(lambda x: INNER(x))\n\ndef NAME(x):\n    return E_NAME.A.value(x)",
     "deco hides": "import functools\n\ndef NAME_deco(g):\n    def inner(x):\n        return INNER(x)\n    return inner\n\n@NAME_deco\ndef NAME(x):\n    return 0.0",
     "star args": "def NAME_apply(*functions):\n    def inner(x):\n        for one in functions:\n            x = one(x)\n        return x\n    return inner\n\nNAME = NAME_apply(lambda x: x, lambda x: INNER(x))",
+    "only imported": "import numpy\n\ndef NAME(x):\n    return x + numpy.NAME_here",
     "delegated": "class C_NAME:\n    def __init__(self, g):\n        self.g = g\n    def __getattr__(self, name):\n        return self.g\n\nNAME_o = C_NAME(lambda x: INNER(x))\n\ndef NAME(x):\n    return NAME_o.anything(x)",
 }
 ENDS = {  # how the constant, CONSTANT, comes into NAME(x)
@@ -187,7 +188,7 @@ class Layout:
         self.kinds.clear()
         self._reexported: list[tuple[str, str]] = []
         modules: dict[str, list[str]] = {}  # the import of each, and its definitions
-        path, name = "main.py", "h"
+        path, name, effect = "main.py", "h", ""
         for level in range(chance.randint(0, 3) if not self.only else int(self.only in LINKS)):
             self.kinds.append(kind := self.only or chance.choice(sorted(LINKS)))
             places = [place for place in PLACES if place.startswith("../") or not path.startswith("../")]
@@ -196,9 +197,11 @@ class Layout:
             statement, call = self._import(chance, path, inner_path, inner, at_top)
             text = LINKS[kind].replace("INNER", call).replace("IMPORT", statement)
             modules[path] = [statement * at_top, text.replace("NAME", name)]
+            modules[path][1] += effect
+            effect = f"\n\nimport numpy\n\nnumpy.{name}_here = {inner}(0.0)" if kind == "only imported" else ""
             path, name = inner_path, inner
         self.kinds.append(kind := self.only if self.only in ENDS else chance.choice(sorted(ENDS)))
-        modules[path] = ["", ENDS[kind].replace("CONSTANT", constant).replace("NAME", name)]
+        modules[path] = ["", ENDS[kind].replace("CONSTANT", constant).replace("NAME", name) + effect]
         modules["main.py"].append("def f(x: float = 1.0):\n    return h(x)")
         for file, (head, *blocks) in modules.items():
             body = [*blocks, UNUSED.replace("OTHER", "8.0" if cosmetic else "7.0")]

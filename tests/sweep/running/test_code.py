@@ -205,6 +205,19 @@ def test_so_it_is_for_each_kind(tmp_path, kind):
     check(Layout(1, only=kind), tmp_path)
 
 
+@pytest.mark.parametrize("call", ["importlib.import_module('pkg')", "__import__('pkg')"])
+def test_a_module_that_a_function_imports_by_a_name_counts(tmp_path, call):
+    (tmp_path / "lib" / "pkg").mkdir(parents=True)
+    (tmp_path / "work").mkdir()
+    (tmp_path / "work" / "main.py").write_text(f"import importlib\ndef f(x: float):\n    return x * {call}.K\n")
+    (tmp_path / "lib" / "pkg" / "__init__.py").write_text("K = 1.0\n")
+    run(tmp_path, [1.0])
+    run(tmp_path, [1.0, 2.0])
+    (tmp_path / "lib" / "pkg" / "__init__.py").write_text("K = 4.0\n")
+    with pytest.raises(linksweep.SweepError, match=r"(?s)was made by other code.*value pkg\.K"):
+        run(tmp_path, [1.0, 2.0, 3.0])
+
+
 H = """
 K, ALL = 1.0, {"a": max}
 class B: ...
