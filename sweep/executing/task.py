@@ -268,17 +268,16 @@ class Batch:
         """Return what a worker gets; after ``enough_s`` seconds it is to return what it has."""
         experiment, sampling, reference = self.study.experiment, self.study.sampling, self.study.experiment_reference
         defaults = experiment.defaults()
-        units = tuple(
-            PointBlock(
-                tuple({k: v for k, v in point.parameters.items() if is_other(v, defaults[k])} for point in work.points),
-                work.points[0].stream,
-                work.block,
-            )
-            for work in self.works
-        )
+        units = []
+        for work in self.works:
+            points = (self.study.arguments(point.parameters).items() for point in work.points)
+            changed = tuple({k: v for k, v in point if is_other(v, defaults[k])} for point in points)
+            units.append(PointBlock(changed, work.points[0].stream, work.block))
         digest = source_digest(reference)
         samples, again = sampling.keep_samples, experiment.repeatable
-        return Task(reference, sampling.seed, units, samples, limits.time_s, digest, enough_s, again, keep=self.keep)
+        return Task(
+            reference, sampling.seed, tuple(units), samples, limits.time_s, digest, enough_s, again, keep=self.keep
+        )
 
     def alone(self) -> "list[Batch]":
         """Return each block by itself."""

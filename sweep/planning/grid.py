@@ -46,8 +46,7 @@ class Grid:
     share the dimension of the first of them.  ``warnings`` are those of the experiment, if `make_grid` has asked it.
 
     ``dimensions`` has the axes along each dimension, ``shape`` its length, ``rows`` the values at each place along it,
-    one for each of its axes; ``first_rows`` is for each row of a table of points the first row that is the same point,
-    None where no row repeats.
+    one for each of its axes.
     """
 
     def __init__(self, study: Study, warnings: Sequence[str] = ()) -> None:
@@ -57,26 +56,39 @@ class Grid:
         self.rows: dict[str, list[tuple[Value, ...]]] = {
             name: list(zip(*(study.axes[axis] for axis in axes), strict=True)) for name, axes in self.dimensions.items()
         }
-        first: dict[Any, int] = {}
-        rows = self.rows.get(POINT, ())
-        places = [first.setdefault((values, *map(type, values)), place) for place, values in enumerate(rows)]
-        self.first_rows = np.array(places) if len(first) < len(places) else None
         self._fixed = study.experiment.defaults() | dict(study.fixed)
+        self._alone = [name for name in study.alone if name in study.when]  # which may be missing there
         self._names = [axis for axes in self.dimensions.values() for axis in axes]
         # parameters that do not change a point's random numbers
         self._shared = frozenset(study.experiment.shared if study.sampling.common_random_numbers else ())
 
     def with_repeats(self, of_points: NDArray[Any]) -> NDArray[Any]:
-        """Return an array over the points, (points, ...), in which repeated rows of a table have what the first has:
-        they are the same point, which is computed once.
+        """Return an array over the points, (points, ...), in which a repeated one has what the first has: they are the
+        same point, which is computed once.
         """
-        if self.first_rows is None:
-            return of_points
-        by_row = of_points.reshape(self.shape[0], -1, *of_points.shape[1:])
-        return np.asarray(by_row[self.first_rows].reshape(of_points.shape))
+        return of_points if self._first is None else np.asarray(of_points[self._first])
+
+    @cached_property
+    def _first(self) -> NDArray[np.intp] | None:
+        """For each point the index of the first that is the same; None where none repeats.  Rows of a table may, and
+        those that differ only in parameters without effect.
+        """
+        rows, together = self.rows.get(POINT, ()), {*self._names} - {*self._alone}
+        if together.isdisjoint(self.study.when) and len({(row, *map(type, row)) for row in rows}) == len(rows):
+            return None
+        first: dict[bytes, int] = {}
+        points = enumerate(zip(self._raw(everything := np.arange(len(self))), self.digests(everything), strict=True))
+        places = [k if self._is_misplaced(raw) else first.setdefault(digest, k) for k, (raw, digest) in points]
+        return np.array(places) if len(first) < len(places) else None
+
+    def without(self, name: str) -> NDArray[np.bool_]:
+        """Return at which places along its dimension all points are without a parameter."""
+        gone = [name in self.study.missing(raw) for raw in self._raw(np.arange(len(self)))]
+        others = tuple(k for k, axes in enumerate(self.dimensions.values()) if name not in axes)
+        return np.asarray(np.array(gone).reshape(self.shape).all(axis=others))
 
     def repeated(self, indices: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Return the indices of points with those of the rows of a table that repeat them."""
+        """Return the indices of points with those that repeat them."""
         return np.flatnonzero(self.with_repeats(np.isin(np.arange(len(self)), indices)))
 
     def __len__(self) -> int:
@@ -84,19 +96,18 @@ class Grid:
 
     def parameters(self) -> Iterator[tuple[int, dict[str, Any]]]:
         """Yield index and parameters of the points that are not excluded, in C order; repeated ones only once."""
-        names, clauses, first = self._names, self.study.excluded, self.first_rows
-        row = 1 if first is None else len(self) // len(first)
-        for index, combination in enumerate(itertools.product(*self.rows.values())):
-            if first is not None and first[index // row] != index // row:
-                continue
-            parameters = self._fixed.copy()
-            parameters.update(zip(names, itertools.chain.from_iterable(combination), strict=True))
-            if not (clauses and self.excludes(parameters)) and index not in self._left_out:
-                yield index, parameters
+        has_clauses, first = bool(self.study.excluded or self.study.when), self._first
+        for start in range(0, len(self), AT_ONCE):
+            some = np.arange(start, min(start + AT_ONCE, len(self)))
+            for index, raw in zip(some.tolist(), self._raw(some), strict=True):
+                if first is not None and first[index] != index:
+                    continue
+                if not (has_clauses and self.excludes(raw)) and index not in self._left_out:
+                    yield index, self._resolved(raw)
 
     def indices(self) -> NDArray[np.intp]:
         """Return the indices of the points that `parameters` yields."""
-        if self.first_rows is None and not self.study.excluded and not self._left_out:
+        if self._first is None and not (self.study.excluded or self.study.when or self._left_out):
             return np.arange(len(self))
         return np.fromiter((index for index, _ in self.parameters()), dtype=np.intp)
 
@@ -126,12 +137,26 @@ class Grid:
             some = indices[start : start + AT_ONCE]
             digests = self.digests(some)
             streams = self._digests(some, self._shared) if self._shared else digests
-            places = zip(self.rows.values(), self._places(some), strict=True)
-            along = [map(rows.__getitem__, numbers) for rows, numbers in places]  # the values, point by point
-            for index, digest, stream, *combination in zip(some.tolist(), digests, streams, *along, strict=True):
-                parameters = self._fixed.copy()
-                parameters.update(zip(self._names, itertools.chain.from_iterable(combination), strict=True))
-                yield GridPoint(index, parameters, digest, stream)
+            for index, raw, digest, stream in zip(some.tolist(), self._raw(some), digests, streams, strict=True):
+                yield GridPoint(index, self._resolved(raw), digest, stream)
+
+    def _raw(self, indices: NDArray[np.intp]) -> Iterator[dict[str, Any]]:
+        """Yield the values that the axes and constants of points have, also those without effect."""
+        places = zip(self.rows.values(), self._places(indices), strict=True)
+        along = [map(rows.__getitem__, numbers) for rows, numbers in places]  # the values, point by point
+        for _, *combination in zip(indices.tolist(), *along, strict=True):
+            parameters = self._fixed.copy()
+            parameters.update(zip(self._names, itertools.chain.from_iterable(combination), strict=True))
+            yield parameters
+
+    def _resolved(self, raw: dict[str, Any]) -> dict[str, Any]:
+        """Return the parameters of a point, None for those without effect."""
+        return raw | dict.fromkeys(self.study.missing(raw)) if self.study.when else raw
+
+    def _is_misplaced(self, raw: Mapping[str, Any]) -> bool:
+        """Return whether an axis of its own has a value where it has no effect, or none where it has one."""
+        gone = self.study.missing(raw)
+        return any((raw[name] is None) != (name in gone) for name in self._alone)
 
     @cached_property
     def _left_out(self) -> set[int]:
@@ -155,20 +180,23 @@ class Grid:
     def _digests(self, indices: NDArray[np.intp], left_out: Collection[str] = ()) -> list[bytes]:
         """Return digests of points by all their parameters except those ``left_out``."""
         places = dict(zip(self.dimensions, self._places(indices), strict=True))
-        known = [(dimension, along) for name, dimension, along in self._texts_along if name not in left_out]
-        texts = [
-            itertools.repeat(along[0], len(indices)) if dimension is None else map(along.__getitem__, places[dimension])
-            for dimension, along in known
-        ]
+        known = [entry for entry in self._texts_along if entry[0] not in left_out]
+        gone = [self.study.missing(raw) for raw in self._raw(indices)] if self.study.when else []
+        texts = list[Iterable[str | None]]()
+        for name, dimension, along in known:
+            numbers = itertools.repeat(0, len(indices)) if dimension is None else places[dimension]
+            if name in self.study.when:
+                numbers = [-1 if name in some else number for number, some in zip(numbers, gone, strict=True)]
+            texts.append(map(along.__getitem__, numbers))
         rows: Iterable[Iterable[Any]] = zip(*texts, strict=True) if texts else itertools.repeat((), len(indices))
-        if any(None in along for _, along in known):  # a parameter at its default
+        if any(None in along for *_, along in known):  # a parameter at its default
             rows = (filter(None, row) for row in rows)
         return [blake2b(f"{{{', '.join(row)}}}".encode(), digest_size=16).digest() for row in rows]
 
     @cached_property
     def _texts_along(self) -> list[tuple[str, str | None, list[str | None]]]:
         """Each parameter that may count in a digest, in order: the dimension that it is along, None where it is fixed,
-        and its text at each place there; None where it is at its default.
+        and its text at each place there, and at last where it is missing; None where it is at its default.
         """
         dimension_of = {axis: dimension for dimension, axes in self.dimensions.items() for axis in axes}
         defaults, axes = self.study.experiment.defaults(), self.study.axes
@@ -178,8 +206,10 @@ class Grid:
             key, default = json.dumps(name), defaults[name]
             different = {(type(v), v) for v in values[name] if is_other(v, default)}
             texts = {one: f"{key}: {sorted_json(one[1])}" for one in different}
-            if texts:
-                entries.append((name, dimension_of.get(name), [texts.get((type(v), v)) for v in values[name]]))
+            if texts or name in self.study.when:
+                missing = [f"{key}: null" if is_other(None, default) else None] if name in self.study.when else []
+                along = [texts.get((type(v), v)) for v in values[name]] + missing
+                entries.append((name, dimension_of.get(name), along))
         return entries
 
     def _places(self, indices: NDArray[np.intp]) -> list[list[int]]:
@@ -190,9 +220,11 @@ class Grid:
         """Return a key that is equal for two points of this grid exactly if they share their random numbers."""
         return tuple(parameters[name] for name in self._names if name not in self._shared)
 
-    def excludes(self, parameters: Mapping[str, Any]) -> bool:
-        """Return whether the study leaves out a point."""
-        return any(all(c.holds(parameters[c.name]) for c in clause) for clause in self.study.excluded)
+    def excludes(self, parameters: dict[str, Any]) -> bool:
+        """Return whether the study leaves out a point with these values on its axes."""
+        point = self._resolved(parameters)
+        is_left_out = any(all(c.holds(point[c.name]) for c in clause) for clause in self.study.excluded)
+        return is_left_out or self._is_misplaced(parameters)
 
 
 def all_but(study: Study, points: Collection[bytes]) -> dict[str, int]:
@@ -223,7 +255,7 @@ def make_grid(study: Study) -> Grid:
     default: otherwise equal points would have different names.
 
     Raises SweepError for points that cannot be computed (grouped by reason; the check stops after
-    `MAX_PROBLEMS` reasons), for points that occur twice, and for a grid that is too large or empty.
+    `MAX_PROBLEMS` reasons), and for a grid that is too large or empty.
     """
     grid = Grid(study)
     if len(grid) > MAX_POINTS:
@@ -233,13 +265,12 @@ def make_grid(study: Study) -> Grid:
             "with a store each, or take a design of points (--design)"
         )
         raise SweepError(message, study.source)
-    sentences = _repeated(grid)
-    judged = PointCache(partial(_judged, study), study.axes)
+    judged = PointCache(partial(_judged, study), study.varying)
     reasons, warnings = Counter[str](), Counter[str]()
     idle: Mapping[str, str] | None = None  # fixed parameters that mattered at no point so far
     last: object = None
     for _, parameters in grid.parameters():
-        reason, unused, warned = judged(parameters)
+        reason, unused, warned = judged(study.arguments(parameters))
         if reason is not None:
             reasons[reason] += 1
             if len(reasons) > MAX_PROBLEMS:
@@ -253,7 +284,7 @@ def make_grid(study: Study) -> Grid:
             break  # the experiment accepts every point: it looks at nothing that differs between them
     if not judged.was_called:
         raise SweepError("every point of the grid is excluded", study.source)
-    sentences += _with_points(reasons, "reasons; the rest of the grid was not checked")
+    sentences = _with_points(reasons, "reasons; the rest of the grid was not checked")
     if not reasons and idle:
         sentences += [f"{name} = {shown(study.fixed[name])} changes nothing: {why}" for name, why in idle.items()]
     if sentences:
@@ -267,8 +298,13 @@ def _judged(study: Study, parameters: Point) -> tuple[str | None, Mapping[str, s
     """Return why a point cannot be computed, which parameters change nothing at it, and warnings of it."""
     defaults = study.experiment.defaults()
     what = "check of a point"
+    effective = (study.experiment.parameter(name) for name in study.when.keys() - {*study.missing(parameters)})
+    lacking = [
+        one.name for one in effective if parameters[one.name] is None and not one.optional and one.default is not None
+    ]
     try:
-        if (reason := study.experiment.check(parameters)) is not None:
+        reason = f"{lacking[0]} has no value where it has an effect" if lacking else study.experiment.check(parameters)
+        if reason is not None:
             return reason, {}, ()
         what = "`unused`"
         unused = dict(study.experiment.unused(parameters))
@@ -294,21 +330,6 @@ def _with_points(counts: Mapping[str, int], what: str) -> list[str]:
     """Return the first sentences, each with the number of points that it is about."""
     texts = [f"{text} ({n} point{'s' if n > 1 else ''})" for text, n in counts.items()]
     return [*texts[:MAX_PROBLEMS], *([f"... and other {what}"] if len(texts) > MAX_PROBLEMS else [])]
-
-
-def _repeated(grid: Grid) -> list[str]:
-    """Return which points occur twice: the values of an axis are distinct, so only zipped axes can repeat a point; a
-    table may.
-    """
-    sentences: list[str] = []
-    for dimension, axes in grid.dimensions.items():
-        if dimension == POINT or len(axes) == 1:
-            continue
-        counts = {values: n for values, n in Counter(grid.rows[dimension]).items() if n > 1}
-        for values in list(counts)[:MAX_PROBLEMS]:
-            place = ",".join(f"{name}={value}" for name, value in zip(axes, values, strict=True))
-            sentences.append(f"the same point occurs {counts[values]} times: {place}")
-    return sentences
 
 
 class PointCache(Generic[T]):

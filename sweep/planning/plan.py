@@ -115,7 +115,7 @@ class Plan:
         self.grid = grid
         # All points cost the same, and need not be looked at.
         self.costs_nothing_special = not experiment.says_cost
-        self._cost = PointCache(experiment.cost, grid.study.axes)
+        self._cost = PointCache(experiment.cost, grid.study.varying)
         self.blocks = lru_cache(MOST_CUTS)(self._blocks)
         self.block_shape = cache(self._shape)
 
@@ -179,7 +179,7 @@ class Plan:
 
     def cost(self, parameters: dict[str, Any]) -> float:
         """Return the random numbers that one realisation of a point takes, at least 1."""
-        return 1.0 if self.costs_nothing_special else max(1.0, self._cost(parameters))
+        return 1.0 if self.costs_nothing_special else max(1.0, self._cost(self.grid.study.arguments(parameters)))
 
     def costs(self) -> tuple[tuple[str, ...], dict[tuple[Any, ...], float]] | None:
         """Return the axes on which the cost of a point depends, and the cost by their values; None for a long table."""
@@ -187,11 +187,12 @@ class Plan:
         if self.costs_nothing_special:
             return (), {(): 1.0}
         if (table := self._cost.table()) is None and len(grid) <= MOST_COSTS:
-            names = tuple(grid.study.axes)
+            names = tuple(grid.study.varying)
             table = names, {}
             for _, parameters in grid.parameters():
                 with suppress(Exception):  # nobody has asked for it, and it cannot be computed
-                    table[1][tuple(parameters[name] for name in names)] = self._cost(parameters)
+                    point = grid.study.arguments(parameters)
+                    table[1][tuple(point[name] for name in names)] = self._cost(point)
         return table if table is not None and len(table[1]) <= MOST_COSTS else None
 
     def work(self, points: tuple[GridPoint, ...], block: Block) -> Work:

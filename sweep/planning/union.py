@@ -74,7 +74,7 @@ def united(stored: Study, asked: Study, in_ledger: Collection[bytes] = (), *, is
         places = places[np.array([digest in in_ledger for digest in theirs.digests(places)], dtype=bool)]
     if not len(places):
         return asked
-    along = np.unravel_index(places, theirs.shape) if theirs.shape else ()
+    along = np.unravel_index(theirs.repeated(places), theirs.shape) if theirs.shape else ()
     kept = {name: np.unique(numbers) for name, numbers in zip(theirs.dimensions, along, strict=True)}
     there = [(axes, theirs.rows[name][number]) for name, axes in theirs.dimensions.items() for number in kept[name]]
     for name, value in [pair for axes, row in there for pair in zip(axes, row, strict=True)] + list(was.items()):
@@ -86,15 +86,15 @@ def united(stored: Study, asked: Study, in_ledger: Collection[bytes] = (), *, is
             )
     if gone := [name for name in stored.axes if name not in defaults]:
         raise SweepError(f"the axis {gone[0]} of the store is no parameter any more; --only leaves its points out")
-    axes = {*stored.axes, *asked.axes}
-    changed = [name for name in defaults if name not in axes and sorted_json(was[name]) != sorted_json(now[name])]
+    others = {*stored.axes, *asked.axes, *(name for name, (somewhere, _) in stored.effects().items() if not somewhere)}
+    changed = [n for n in defaults if n not in others and sorted_json(was[n]) != sorted_json(now[n])]
     tables = [one.points for one in (asked, stored) if one.points is not None]
     excluded = tuple(clause for clause in asked.excluded if clause in stored.excluded)
     kept.pop(POINT, None)  # with rows that repeat others, and those that are not there yet
     rows = _crossed((theirs, was, kept), (mine, now, {}))
     rows |= {(name,): [(was[name],), (now[name],)] for name in changed}
     n = len(places) + len(mine)
-    most = min(MAX_POINTS, max(SMALL, min(SPARSEST * n, n + MOST_LEFT_OUT)))
+    most = max(SMALL, min(MAX_POINTS, SPARSEST * n, n + MOST_LEFT_OUT))
     are_lost = any(one.labels and {*one.names} != {*tables[0].names} for one in tables)
     others = [some for names, some in rows.items() if {*names} != {*(tables and tables[0].names)}]
     columns = [column for some in others for column in zip(*some, strict=True)]
@@ -125,7 +125,7 @@ def united(stored: Study, asked: Study, in_ledger: Collection[bytes] = (), *, is
         points=points,
         excluded=excluded,
         counts={},
-    )
+    ).completed()
     result = replace(result, counts=_counts(theirs, places, mine, result, in_ledger))
     is_same = result.digest() == asked.digest()
     if is_same and [*result.dimensions] == [*asked.dimensions]:
@@ -272,7 +272,7 @@ def _document(stored: Study, asked: Study, whole: Study) -> dict[str, Any]:
     document = {**asked.document, "axes": written([name for name in whole.axes if name not in columns])}
     document["fixed"] = {n: raw for n, raw in asked.document.get("fixed", {}).items() if n not in whole.axes}
     document["grid"] = {"zip": [list(names) for names in whole.zipped]}
-    clauses = zip(asked.excluded, asked.document.get("exclude", ()), strict=False)  # those of `when` follow
+    clauses = zip(asked.excluded, asked.document.get("exclude", ()), strict=True)
     document["exclude"] = [raw for clause, raw in clauses if clause in whole.excluded]
     if not asked.experiment.deterministic:
         document["sampling"] = whole.sampling.model_dump(exclude_none=True, exclude_unset=True)
@@ -331,6 +331,7 @@ def refined(study: Study, rounds: Iterable[Round]) -> Study:
         counts |= {name: max(n, counts.get(name, 0)) for name, n in one.n_sim.items()}
     grown = [name for name, values in study.axes.items() if len(axes[name]) > len(values)]
     axes |= {name: tuple(sorted(axes[name], key=lambda value: (value is None, value or 0))) for name in grown}
+    axes = dict(replace(study, axes=axes).completed().axes)
     grid, written = Grid(study), {name: parameters[name].written(axes[name]) for name in grown}
     counts |= all_but(replace(study, axes=axes), {*added, *grid.digests(grid.indices())})
     document = {**study.document, "counts": counts, "axes": study.document.get("axes", {}) | written}

@@ -25,7 +25,7 @@ from linksweep.sweep.stores.location import Folder, Where, located
 from linksweep.sweep.stores.store import OpenStore, was_written_here
 from linksweep.sweep.studies.reader import parse_places, parse_value, study_of_attributes
 from linksweep.sweep.studies.record import as_recorded
-from linksweep.sweep.studies.study import DEFAULT_EXPERIMENT, POINT, Study
+from linksweep.sweep.studies.study import DEFAULT_EXPERIMENT, POINT, Study, is_other
 
 MOST_NAMED = 10
 
@@ -121,7 +121,11 @@ def reproduce(store: Where, at: str, *, trust: bool = False) -> Reproduction:
     for message in failures.values():
         raise ResultError(message)
     axes = study.dimensions
-    indices = {name: rows.index(tuple(place[axis] for axis in axes[name])) for name, rows in Grid(study).rows.items()}
+    values = {name: [place[axis] for axis in axes[name]] for name in axes}
+    indices = {
+        name: next(number for number, row in enumerate(rows) if not any(map(is_other, row, values[name])))
+        for name, rows in Grid(study).rows.items()
+    }
     stored = opened.dataset().isel(indices)
     status = Status(int(stored["status"]))
     differences = None
@@ -180,7 +184,7 @@ def _alone(
     study: Study, parameters: dict[str, Any], compute: Callable[[Task], TaskResult]
 ) -> tuple[xr.Dataset, dict[str, str]]:
     """Return the dataset of a point in a session of its own, and why it failed if it did."""
-    swept = {name: value for name, value in parameters.items() if value != study.experiment.defaults()[name]}
+    swept = {name: value for name, value in parameters.items() if is_other(value, study.experiment.defaults()[name])}
     alone = replace(study, axes={}, zipped=(), points=None, fixed={**study.fixed, **swept}, published=None, part=None)
 
     def execute(take: Callable[[int], Sequence[Any]]) -> Iterator[tuple[Any, TaskResult]]:
@@ -225,8 +229,13 @@ def place_of(study: Study, at: str, where: str) -> dict[str, Any]:
     grid, unreadable = Grid(study), bool(problems)
     parameters = study.experiment.defaults() | dict(study.fixed)
     for dimension, rows in grid.rows.items():
-        named = [dict(zip(grid.dimensions[dimension], row, strict=True)) for row in dict.fromkeys(rows)]
-        fitting = [one for one in named if all(wanted.get(axis, value) == value for axis, value in one.items())]
+        named = [
+            dict(zip(grid.dimensions[dimension], row, strict=True))
+            for row in {(row, *map(type, row)): row for row in rows}.values()
+        ]
+        fitting = [
+            one for one in named if not any(is_other(wanted.get(axis, value), value) for axis, value in one.items())
+        ]
         if len(fitting) == 1:
             parameters |= fitting[0]
         elif not unreadable and fitting:
@@ -252,7 +261,7 @@ def _on_axis(study: Study, name: str, text: str) -> dict[str, Any]:
         raise ValueError(f"{name}: is not an axis{suggest(name, list(study.axes))}")
     parameter = study.experiment.parameter(name)
     value = parameter.parse(parse_value(text, is_text=parameter.kind == "str"))
-    if value not in study.axes[name]:
+    if all(is_other(value, one) for one in study.axes[name]):
         values = first_of(list(study.axes[name]), MOST_NAMED)
         raise ValueError(f"{name} = {shown(value)}: not on the axis, which has {values}")
     return {name: value}

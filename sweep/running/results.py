@@ -315,7 +315,8 @@ def _coordinates(grid: Grid) -> dict[str, Variable]:
         for name in axes:
             parameter = experiment.parameter(name)
             values: Any = study.axes[name]
-            missing = [value is None and name in study.when for value in values]
+            is_alone = name == dimension or name not in study.when
+            missing = [one is None and name in study.when for one in values] if is_alone else grid.without(name)
             kinds = {type(value) for value, is_missing in zip(values, missing, strict=True) if not is_missing}
             is_text = parameter.kind == "str" or not (kinds <= {int, float} or kinds == {bool})
             values = [

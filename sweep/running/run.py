@@ -140,7 +140,7 @@ def with_stored(store: Store, study: Study, only: bool = False) -> tuple[Study, 
     The study itself, and None, where it has all of them.  Raises SweepError as `united`.
     """
     attributes, where = store.attributes, str(store.location)
-    if attributes.get("study_digest") == study.digest() and json.loads(attributes["study_axes"]) == [*study.axes]:
+    if attributes.get("study_digest") == study.digest() and json.loads(attributes["study_axes"]) == study.varying:
         return study, study, None
     document = json.loads(attributes["study_document"])
     # The same files, as the caller has found; that which the store names may have moved.
@@ -280,7 +280,7 @@ def identity(study: Study) -> dict[str, Any]:
     """Return the attributes of a store that say what its numbers mean."""
     return {
         "study_meaning": json.dumps(study.meaning(), default=content_digest),
-        "study_axes": json.dumps(list(study.axes)),
+        "study_axes": json.dumps(study.varying),
     }
 
 
@@ -289,7 +289,7 @@ def study_differences(attributes: Mapping[str, Any], study: Study, keep: bool = 
     not compared, and with ``keep`` neither are those of other parameters that may be one.
     """
     old, new = json.loads(attributes["study_meaning"]), json.loads(identity(study)["study_meaning"])
-    axes = {*json.loads(attributes["study_axes"]), *study.axes}
+    axes = {*json.loads(attributes["study_axes"]), *study.varying}
     axes |= {one.name for one in study.experiment.parameters if keep and one.may_be_axis}
     defaults = json.loads(json.dumps(study.experiment.defaults(), default=content_digest))
     pairs = [(key, old.get(key, "absent"), new.get(key, "absent")) for key in sorted({*old, *new} - {"fixed"})]

@@ -601,7 +601,7 @@ def _in_units(columns: Cells, units: Mapping[str, str], values: Values, where: K
                 raise ValueError("has a unit, but is no column")
             cells: list[Any] = [cell.decode() if isinstance(cell, bytes) else cell for cell in columns[name]]
             missing = np.array([cell is None or cell != cell for cell in cells], dtype=bool)  # noqa: PLR0124
-            if missing.any() and not values.experiment.parameter(name).optional:
+            if missing.any() and not (parameter := values.experiment.parameter(name)).optional and not parameter.when:
                 raise ValueError(f"has no value in row {rows_listed(missing)}")
             if (factor := factor_between(theirs, unit) if theirs else 1.0) is None:
                 raise ValueError(

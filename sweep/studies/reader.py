@@ -12,6 +12,7 @@ import tomllib
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import Any
 
@@ -403,7 +404,7 @@ class _Reader:
         form, experiment, is_whole = self._form_and_experiment()
         experiment = self._defined(experiment, form.define)
         when = {one.name: one.when for one in experiment.parameters if one.when} | form.when
-        parameters = [replace(one, optional=one.optional or one.name in when) for one in experiment.parameters]
+        parameters = [replace(one, when=when.get(one.name, {})) for one in experiment.parameters]
         experiment = replace(experiment, parameters=tuple(parameters)) if when else experiment
         values = Values(experiment, self.folder, problems)
         points, table = read_points(form, values, self.code)
@@ -413,7 +414,13 @@ class _Reader:
             if name in form.axes:
                 problems.add(("fixed", name), "is an axis too; leave out one of the two")
             fixed[name] = values.one(("fixed", name), name, raw)
-        clauses = self._conditional(values, when, crossed, fixed)
+        # Claims about zipped axes need the groups before these are known to be right.
+        groups = _read_form({"title": "", "grid": self.document.get("grid", {})}, Problems(self.where))
+        zipped = groups.grid.zip if isinstance(groups, Form) else []
+        conditions = self._conditions(values, when)
+        values_of = {name: some or () for name, some in axes.items()}
+        draft = Study("", "", "", experiment, values_of, fixed, ONCE, tuple(map(tuple, zipped)), table, when=conditions)
+        crossed = {name: draft.completed().axes[name] or None for name in crossed}
         axes |= crossed
         if points or "points" not in self.document:  # else the table is wrong: what it has is not known
             for name in (one.name for one in experiment.parameters if one.required):
@@ -423,9 +430,6 @@ class _Reader:
         experiment = self._with_labels(experiment, axes, fixed)
         published = _read_published(form, values, axes)
         changed = frozenset(str(place[1]) for place in problems.options if place[0] in ("axes", "fixed"))
-        # Claims about zipped axes need the groups before these are known to be right.
-        groups = _read_form({"title": "", "grid": self.document.get("grid", {})}, Problems(self.where))
-        zipped = groups.grid.zip if isinstance(groups, Form) else []
         context = Context(experiment, crossed, zipped, frozenset({*axes, *fixed}), changed) if is_whole else None
         statements = {key: self.document[key] for key in STATEMENTS if key in self.document}
         checked = _read_form({"title": "", **statements}, problems, context)
@@ -449,9 +453,9 @@ class _Reader:
             sampling=ONCE if experiment.deterministic else checked.sampling,
             zipped=tuple(map(tuple, checked.grid.zip)),
             points=table,
-            excluded=(*(tuple(clause.values()) for clause in checked.exclude), *clauses),
+            excluded=tuple(tuple(clause.values()) for clause in checked.exclude),
             counts=form.counts,
-            when=tuple(when),
+            when=conditions,
             published=published,
             source=self.where,
             claims=tuple(checked.claim),
@@ -461,42 +465,23 @@ class _Reader:
         )
         return replace(study, document=self._portable(form, study))
 
-    def _conditional(
-        self,
-        values: Values,
-        when: Mapping[str, Mapping[str, Sequence[Any]]],
-        axes: dict[str, tuple[Value, ...] | None],
-        fixed: dict[str, Value],
-    ) -> list[tuple[Condition, ...]]:
-        """Return the clauses that leave out values of parameters except ``when`` they have an effect, and otherwise in
-        one point in which they are None; what is fixed, but not everywhere, becomes an axis of these two.
-        """
-        allowed: dict[str, dict[str, tuple[Value, ...]]] = {}
-        for name, conditions in when.items():
+    def _conditions(
+        self, values: Values, when: Mapping[str, Mapping[str, Sequence[Any]]]
+    ) -> dict[str, tuple[Condition, ...]]:
+        """Return the conditions under which parameters have an effect, those that others depend on first."""
+        conditions: dict[str, tuple[Condition, ...]] = {}
+        for name, by_name in when.items():
             place = ("when", name)
             with self.problems.at(place):
                 values.experiment.parameter(name)
-                if name in conditions:
-                    raise ValueError("its effect cannot depend on its own value")
-            allowed[name] = {
-                other: values.several((*place, other), other, some) or () for other, some in conditions.items()
-            }
-        settings, before = values.experiment.defaults() | fixed, None
-        while before != (before := dict(axes)):  # where one has no effect, others that depend on it may have none
-            for name, conditions in allowed.items():
-                at = [({*(axes.get(other) or (settings.get(other),))}, {*some}) for other, some in conditions.items()]
-                is_everywhere = all(values <= some for values, some in at)
-                if name in fixed and not is_everywhere:
-                    axes[name] = (fixed.pop(name),) if all(values & some for values, some in at) else (None,)
-                if (on_axis := axes.get(name)) and None not in on_axis and not is_everywhere:
-                    axes[name] = (*on_axis, None)
-        clauses: list[tuple[Condition, ...]] = []
-        for name in (name for name in allowed if name in {**axes, **fixed}):
-            missing = Condition(name, (None,))
-            effective = [Condition(other, some) for other, some in allowed[name].items()]
-            absent = replace(missing, without=True)
-            clauses += [(*effective, missing), *((replace(one, without=True), absent) for one in effective)]
-        return clauses
+            conditions[name] = tuple(
+                Condition(other, values.several((*place, other), other, some) or ()) for other, some in by_name.items()
+            )
+        try:
+            return {name: conditions[name] for name in TopologicalSorter(when).static_order() if name in when}
+        except CycleError as error:
+            self.problems.add(("when",), f"the effect of {error.args[1][0]} cannot depend on its own value")
+            return {}
 
     def _with_labels(
         self, experiment: Experiment, axes: Mapping[str, tuple[Value, ...] | None], fixed: Mapping[str, Value]

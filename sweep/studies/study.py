@@ -5,7 +5,7 @@ import json
 import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from decimal import Decimal, InvalidOperation
 from itertools import count, groupby
 from string import Formatter
@@ -108,20 +108,19 @@ def printed_rounding(text: str) -> float:
 
 @dataclass(frozen=True)
 class Condition:
-    """One clause of an exclusion: the parameter's value is in ``among``, or not in it if ``without``, or above and
-    below the bounds that are given.
+    """A condition of an exclusion or an effect: a parameter's value is in ``among``, or above and below the bounds that
+    are given.
     """
 
     name: str
     among: tuple[Value, ...] | None = None
-    without: bool = False
     above: float | None = None
     below: float | None = None
 
     def holds(self, value: Any) -> bool:
         """Return whether a parameter's value meets the condition."""
         if self.among is not None:
-            return (value in self.among) != self.without
+            return any(not is_other(value, one) for one in self.among)
         return (
             is_number(value)
             and (self.above is None or value > self.above)
@@ -711,7 +710,8 @@ class Study:
         excluded: the conditions under which points are left out.
         counts: a larger n_sim of single points, by their digests, or 0 for those that are left out, as `sweep refine`
             has them.
-        when: the parameters that have an effect only with some values of others; None where they have none.
+        when: the conditions under which parameters have an effect, for each those on others; at a point where one is
+            not met the parameter is missing, None.  An axis of its own has this one point.
         published: published results.
         source: the file that it was read from.
         question: what it asks, for reports.
@@ -735,7 +735,7 @@ class Study:
     points: PointTable | None = None
     excluded: tuple[tuple[Condition, ...], ...] = ()
     counts: Mapping[str, int] = field(default_factory=dict)
-    when: tuple[str, ...] = ()
+    when: Mapping[str, tuple[Condition, ...]] = field(default_factory=dict)
     published: Published | None = None
     source: str = ""
     question: str = ""
@@ -776,6 +776,52 @@ class Study:
     def keeps_samples(self) -> bool:
         """Whether the ledger holds realisations: the study or the experiment asks for them."""
         return self.sampling.keep_samples or self.experiment.keeps_samples
+
+    def effects(self) -> dict[str, tuple[bool, bool]]:
+        """Return whether each conditional parameter has an effect somewhere, and whether everywhere, by all values."""
+        constants = self.experiment.defaults() | dict(self.fixed)
+        values = {name: (value,) for name, value in constants.items()} | dict(self.axes)
+        known: dict[str, tuple[bool, bool]] = {}
+        for name, conditions in self.when.items():
+            held = []
+            for one in conditions:
+                somewhere, everywhere = known.get(one.name, (True, True))
+                there = (*(values.get(one.name, ()) if somewhere else ()), *(() if everywhere else (None,)))
+                held.append({one.holds(value) for value in there})
+            known[name] = all(True in some for some in held), all(False not in some for some in held)
+        return known
+
+    @property
+    def varying(self) -> list[str]:
+        """The axes, and constants that some points are without."""
+        known = self.effects().items()
+        return [*self.axes, *(name for name, (_, everywhere) in known if not everywhere and name not in self.axes)]
+
+    def completed(self) -> "Study":
+        """Return the study with None at the end of axes that have no effect at some points, for the one point there is
+        without them; not of those that share a dimension with others.
+        """
+        partial = [name for name, (_, everywhere) in self.effects().items() if not everywhere and name in self.alone]
+        lacking = [name for name in partial if self.axes[name] and None not in self.axes[name]]
+        return replace(self, axes={**self.axes, **{name: (*self.axes[name], None) for name in lacking}})
+
+    @property
+    def alone(self) -> list[str]:
+        """The axes with a dimension of their own."""
+        return [axes[0] for name, axes in self.dimensions.items() if name != POINT and len(axes) == 1]
+
+    def missing(self, parameters: Mapping[str, Any]) -> list[str]:
+        """Return the parameters that have no effect at a point."""
+        gone: list[str] = []
+        for name, conditions in self.when.items():
+            if not all(one.holds(None if one.name in gone else parameters[one.name]) for one in conditions):
+                gone.append(name)
+        return gone
+
+    def arguments(self, parameters: dict[str, Any]) -> dict[str, Any]:
+        """Return what the experiment gets at a point: the defaults of parameters that are missing."""
+        defaults = self.experiment.defaults()
+        return parameters | {name: defaults[name] for name in self.missing(parameters)} if self.when else parameters
 
     def meaning(self) -> dict[str, Any]:
         """Return what determines the results of every point besides its own parameters: if this differs, results cannot

@@ -4,6 +4,7 @@ import datetime
 import enum
 import itertools
 import json
+from collections import ChainMap
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from hypothesis import given, settings, strategies as st
 
 import linksweep
 from linksweep import SweepError
+from tests.sweep.opening import OpenStore
 from tests.tiers import examples, slow
 
 
@@ -201,38 +203,81 @@ def test_lambdas_have_labels_and_reach_every_kind_of_worker(tmp_path, pool):
     assert ds.result.sel(law=["square", "cube"]).values.tolist() == [4.0, 8.0]
 
 
-def chained(a: str, b: int = 0, c: int = 0, d: int = 0):
+DEFAULTS = {"a": "x", "b": 0, "c": 1, "d": 2}
+VALUES = {name: ["x", "y", "z"] if name == "a" else [0, 1, 2, 3] for name in DEFAULTS}
+
+
+def chained(a: str = "x", b: int = 0, c: int = 1, d: int = 2):
     return f"{a} {b} {c} {d}"
 
 
+@st.composite
+def studies(draw, *kinds):
+    """Draw a study with values of each parameter somewhere, and its points as a plain loop makes them."""
+    groups = dict[tuple[str, int], dict[str, list]]()  # what shares a dimension
+    for number, (name, values) in enumerate(VALUES.items()):
+        kind = draw(st.sampled_from(kinds))
+        least, most = {"axes": (1, 3), "fixed": (1, 1), "default": (0, 0), "zip": (2, 2), "columns": (3, 3)}[kind]
+        some = st.lists(st.sampled_from(values), min_size=least, max_size=most, unique=kind != "columns")
+        groups.setdefault((kind, number if kind == "axes" else 0), {})[name] = draw(some)
+    named = {
+        kind: {n: v for (one, _), some in groups.items() if one == kind for n, v in some.items()} for kind in kinds
+    }
+    zipped, columns = named["zip"], named.get("columns")
+    study = {"axes": named["axes"] | zipped, "fixed": {name: value for name, (value,) in named["fixed"].items()}}
+    study |= {"grid": {"zip": [[*zipped]]}} if len(zipped) > 1 else {}
+    study |= {"points": {"columns": columns}} if columns else {}
+    rows = [[dict(zip(some, row, strict=True)) for row in zip(*some.values(), strict=True)] for some in groups.values()]
+    return study, [DEFAULTS | dict(ChainMap(*row)) for row in itertools.product(*filter(None, rows))]
+
+
+SUBSETS = {name: st.lists(st.sampled_from(values), min_size=1, unique=True) for name, values in VALUES.items()}
+
+
 @given(
-    axes=st.fixed_dictionaries({"a": st.sets(st.sampled_from("xyz"), min_size=1)}, optional=dict.fromkeys("bcd", SOME)),
-    fixed=st.fixed_dictionaries({}, optional={name: st.integers(1, 3) for name in "bcd"}),
+    runs=st.tuples(studies("axes", "fixed", "default", "zip", "columns"), studies("axes", "fixed", "default", "zip")),
     when=st.fixed_dictionaries(
         {},
-        optional={"b": st.fixed_dictionaries({"a": st.sets(st.sampled_from("xyz"), min_size=1)})}
-        | {name: st.fixed_dictionaries({other: SOME}) for name, other in ("cb", "dc")},
+        optional={
+            name: st.fixed_dictionaries({}, optional={other: SUBSETS[other] for other in earlier}).filter(bool)
+            for name, earlier in (("b", "a"), ("c", "ab"), ("d", "abc"))
+        },
     ),
 )
 @settings(max_examples=examples(30), derandomize=True)
-def test_conditions_of_any_kind_and_depth_give_the_points_that_one_counts_by_hand(tmp_path_factory, axes, fixed, when):
-    axes = {name: sorted(values) for name, values in axes.items()}
-    fixed = {name: value for name, value in fixed.items() if name not in axes}
-    when = {name: {other: sorted(some) for other, some in rule.items()} for name, rule in when.items()}
-    expected = set()
-    for row in itertools.product(*axes.values()):
-        point = dict(zip(axes, row, strict=True)) | fixed
-        for name in (name for name in "bcd" if name in when and name in point):  # each depends on the one before it
-            ((other, some),) = when[name].items()
-            point = {k: v for k, v in point.items() if k != name or point.get(other, 0) in some}
-        expected.add(chained(**point))
-    given = {"axes": axes, "fixed": fixed, "pool": "serial"}
-    store = tmp_path_factory.mktemp("when") / "s.zarr"
-    ds = linksweep.run(chained, store, when=when, **given)
-    assert sorted(ds.chained.values[ds.status.values == 1]) == sorted(expected)
-    if {"b"} <= when.keys() & axes.keys():  # the same points mean something else
+def test_conditions_of_any_depth_hold_at_each_point_wherever_its_values_come_from(tmp_path_factory, runs, when):
+    store, expected = tmp_path_factory.mktemp("when") / "s.zarr", dict[tuple, str]()
+    for study, points in runs:
+        asked = set[str]()
+        for point in points:
+            for name in sorted(when):  # each depends on those before it
+                if any(point[other] not in some for other, some in when[name].items()):
+                    point[name] = None
+            result = chained(**{name: DEFAULTS[name] if value is None else value for name, value in point.items()})
+            expected[tuple(point.values())] = result
+            asked.add(result)
+        ds = linksweep.run(study | {"experiment": chained, "when": when}, store, pool="serial", keep=True)
+        assert {*ds.chained.values[ds.status.values == 1]} == asked
+    whole = linksweep.open(store)
+    assert {*whole.chained.values[whole.status.values == 1]} == {*expected.values()}
+    assert len(OpenStore(store).ledger().rows) == len(expected), "equal points are one"
+    if {"b"} <= when.keys() & runs[1][0]["axes"].keys():  # the same points mean something else
         with pytest.raises(SweepError, match="when: "):
-            linksweep.run(chained, store, when={**when, "b": {"a": ["w"]}}, **given)
+            linksweep.run(runs[1][0] | {"experiment": chained, "when": {**when, "b": {"a": ["w"]}}}, store)
+
+
+@pytest.mark.parametrize("axis", [[0, False, 1, True, "no"], [True, 1], [1.0, False]])
+def test_conditions_tell_truth_values_from_numbers(tmp_path, axis):
+    for number, value in enumerate(axis):
+        others = {repr(one) for one in axis if repr(one) != repr(value)}
+        axes, store = {"k": axis, "g": [2.0, 3.0]}, tmp_path / str(number)
+        ds = linksweep.run(lambda k: repr(k) + "", store, axes={"k": axis}, exclude=[{"k": value}], pool="serial")
+        assert {*ds.result.values[ds.status.values == 1]} == others
+        ds = linksweep.run(
+            lambda k, g=0.5: f"{k!r} {g}", tmp_path / f"w{number}", axes=axes, when={"g": {"k": [value]}}, pool="serial"
+        )
+        expected = {f"{one} 0.5" for one in others} | {f"{value!r} {g}" for g in axes["g"]}
+        assert {*ds.result.values[ds.status.values == 1]} == expected
 
 
 def test_only_the_script_tries_failed_points_of_its_objects_again(tmp_path, monkeypatch, sweep):
