@@ -488,9 +488,8 @@ def _from_arrow(arrow: Any, columns: Sequence[str] | None = None) -> Any:
     from astropy.table import Table
     from pyarrow import parquet
 
-    if b"table_meta_yaml" in (
-        arrow.schema.metadata or {}
-    ):  # astropy has a column of its own for a mask, two for a time
+    # astropy writes a mask as a column of its own, and a time as two
+    if b"table_meta_yaml" in (arrow.schema.metadata or {}):
         if nulls := [f.name for f in arrow.schema if arrow[f.name].null_count and not pa.types.is_floating(f.type)]:
             raise SweepError(f"has nulls in {', '.join(nulls)}, where astropy has masks: write it with astropy")
         parquet.write_table(arrow, source := io.BytesIO())
