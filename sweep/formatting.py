@@ -8,7 +8,7 @@ import json
 import platform
 import re
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from functools import lru_cache
 from itertools import pairwise
@@ -35,7 +35,6 @@ _TOKEN = re.compile(r"[A-Za-zµμ]+")
 _MICRO = re.compile(r"\bu(?=(?:as|arcsec|rad|s|m|g|Hz|K|mol|J|W|N|V|A|Pa|eV|Jy|mag|pc)\b)")
 _END = re.compile(r" \(|, |; |: ")
 
-FEWEST_DIGITS = 6  # of a value of an axis that needs more than 15 to be exact
 LEAST, MOST = 0.1, 1000.0  # a number from the first to below the second needs no other prefix
 STEPS = {"n": -9, "u": -6, "m": -3, "": 0, "k": 3, "M": 6, "G": 9}
 ONLY_SMALLER = ("s", "rad", "g")  # units that take only prefixes below one: nobody writes 3000 s as 3 ks
@@ -140,7 +139,7 @@ def rounded(value: Any, error: float = 0.0) -> str:
     return f"{value:.0f}" if exact else f"{value:.4g}"
 
 
-def plain(values: Iterable[Any]) -> list[str]:
+def plain(values: Sequence[Any]) -> list[str]:
     """Return the values of an axis as texts, numbers by short ones that read back as the same numbers, '' for NaN.
 
     Where some need more than 15 digits, as sums and random numbers do, those of more than 12 have as many as tell them
@@ -150,14 +149,12 @@ def plain(values: Iterable[Any]) -> list[str]:
         >>> plain([2460000.0, 2460000.25]), plain([1e6, 2e6]), plain([0.1 + 0.2, 1 / 3]), plain([0.1 + 0.2, 0.3])
         (['2460000', '2460000.25'], ['1e+06', '2e+06'], ['0.3', '0.333333'], ['0.30000000000000004', '0.3'])
     """
-    values = list(values)
     known = sorted({v for v in values if isinstance(v, int | float) and isfinite(v)})
     fine = min((b - a for a, b in pairwise(known)), default=5e-13 * max(map(abs, known), default=0.0)) / 100.0
     floats = {float(v) for v in known if isinstance(v, float)}
     most = 15 if all(float(f"{v:.15g}") == v for v in floats) else 12
     off = {v: 0.0 if float(f"{v:.{most}g}") == v else fine for v in floats}
-    enough = (d for d in range(FEWEST_DIGITS, 17) if all(abs(float(f"{v:.{d}g}") - v) <= off[v] for v in off))
-    digits = next(enough, 17)
+    digits = next((d for d in range(6, 17) if all(abs(float(f"{v:.{d}g}") - v) <= off[v] for v in off)), 17)
     texts = {v: min(f"{v:.{digits}g}", repr(v).removesuffix(".0"), key=len) for v in floats}
     return ["" if is_missing(v) else texts.get(v, str(v)) if isinstance(v, float) else str(v) for v in values]
 

@@ -880,5 +880,5 @@ def _crossing_in_words(row: Mapping[str, Any], unit: str, line: Line) -> str:
     if met == LEFT_OUT:
         return words
     at = plain([row["nearest_at"], *line.x.tolist()])[0]
-    where = "" if math.isnan(row["nearest_at"]) else f" at {at} {unit}".rstrip()
+    where = f" at {at} {unit}".rstrip() if at else ""
     return f"{words}; {with_unit(row['nearest'], 0.0, line.unit)}{where} is nearest to the limit"

@@ -42,8 +42,6 @@ BESIDE = (*ERROR_SUFFIXES, *PREDICTION_SUFFIXES, "published", "published_roundin
 # was cut or sorted.
 COVARIANCE_SUFFIX = "mc_covariance"
 
-CLOSE = 0.05  # a number that was read stands for another if that is nearer than this share of the next one's distance
-
 # Attributes: whether points of the grid share random numbers, and the axes along which they do, all by default.
 SHARES_RANDOM_NUMBERS, SHARED_AXES = "common_random_numbers", "shared_axes"
 
@@ -469,18 +467,16 @@ def _is_meant(value: object, wanted: Any) -> bool:
 
 def _shown_as(values: Sequence[Any], wanted: Any) -> set[int]:
     """Return where the number is that was read as the one wanted: the texts of some, see `plain`, are not all of them,
-    and what is wanted is much nearer to it than to any other.
+    and what is wanted is twenty times nearer to it than to any other.
     """
     number = math.nan
     with suppress(ValueError, TypeError):
         number = float(wanted)
     numbers = {value for value in values if isinstance(value, int | float) and not is_missing(value)}
     first, second = [*sorted(numbers, key=lambda value: abs(value - number)), number * (1.0 + 1e-9), number][:2]
-    is_near, pairs = (
-        abs(first - number) < CLOSE * abs(second - number),
-        enumerate(zip(values, plain(values), strict=True)),
-    )
-    return {i for i, (v, text) in pairs if is_near and isinstance(v, float) and v == first and float(text) != v}
+    if not 20.0 * abs(first - number) < abs(second - number):
+        return set()
+    return {i for i, v in enumerate(values) if isinstance(v, float) and v == first and float(plain(values)[i]) != v}
 
 
 # What is missing

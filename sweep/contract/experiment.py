@@ -401,7 +401,7 @@ class Parameter:
             further = "" if self.define is None or self.defined else f", or of [define.{self.name}.NAME]"
             return "one of " + ", ".join(map(repr, self._known())) + further
         bounds = {">=": self.minimum, ">": self.above, "<=": self.maximum}
-        words = [f"{symbol} {plain([bound])[0]}" for symbol, bound in bounds.items() if bound is not None]
+        words = [f"{symbol} {plain([float(bound)])[0]}" for symbol, bound in bounds.items() if bound is not None]
         limits = f" {' and '.join(words)}" if words and self.kind != "bool" else ""
         return WORDS[self.kind] + limits + (f" [{self.unit}]" if self.unit else "")
 

@@ -120,8 +120,7 @@ def series_of(dataset: xr.Dataset, variable: str, *along: str) -> list[tuple[str
     if len(parts) > len(style.COLOURS):
         raise _too_many(dataset, others)
     named = [d for d in others if d in dataset.coords and dataset.sizes[d] > 1]
-    values = [{d: quantity.listed(one, d, [])[0] for d in named} for one in parts]
-    return [(style.values_text(dataset, place), one) for place, one in zip(values, parts, strict=True)]
+    return [(style.values_text(dataset, {d: quantity.listed(one, d, [])[0] for d in named}), one) for one in parts]
 
 
 def draw_panels(dataset: xr.Dataset, variables: list[str], layout: Layout, draw: Draw, alike: bool = False) -> Figure:

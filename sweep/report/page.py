@@ -54,7 +54,6 @@ MOST_MARKS = 2000  # more points than this are drawn as one image: in SVG each o
 SAMPLES = "kept samples of two components; the ellipses hold 68 and 95 % of a normal distribution"
 SUFFIX = "from_prediction"
 
-EXACT = 2**53  # integers beyond it are not numbers of JavaScript, but texts
 MOST_NUMBERS = 200_000  # in a page for all its interactive views together, some 2 MB
 
 
@@ -229,10 +228,9 @@ def explorer(dataset: xr.Dataset, first: Sequence[str], room: int) -> tuple[dict
         used += size
         views.append(_quantity(dataset, name, parts))
     dims = list(dict.fromkeys(d for view in views for d in view["dims"]))
-    status = dataset["status"]
     # points that the study leaves out are not missing, and nobody asked for those between the points of a refinement
-    at = np.flatnonzero(status.values == Status.EXCLUDED).tolist()
-    left = {"dims": list(status.dims), "at": at, "refined": REFINED in dataset.attrs}
+    at = np.flatnonzero(dataset["status"].values == Status.EXCLUDED).tolist()
+    left = {"dims": list(dataset["status"].dims), "at": at, "refined": REFINED in dataset.attrs}
     return {"quantities": views, "axes": list(_axes(dataset, dims)), "excluded": left}, used, left_out
 
 
@@ -284,9 +282,9 @@ def _axes(dataset: xr.Dataset, dims: Sequence[str]) -> Iterator[dict[str, Any]]:
 
 
 def _numbers(array: xr.DataArray) -> list[Any]:
-    """Return the numbers of an array in C order, None where not finite, integers beyond `EXACT` as texts."""
+    """Return the numbers of an array in C order, None where not finite, integers that JavaScript lacks as texts."""
     flat = array.values.reshape(-1).tolist()
-    return [str(n) if isinstance(n, int) and abs(n) > EXACT else formatting.finite_or(n, None) for n in flat]
+    return [str(n) if isinstance(n, int) and abs(n) > 2**53 else formatting.finite_or(n, None) for n in flat]
 
 
 # The beginning of every report: a file that does not begin with it is not replaced.
