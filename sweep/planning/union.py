@@ -7,6 +7,7 @@ import math
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -86,8 +87,8 @@ def united(stored: Study, asked: Study, in_ledger: Collection[bytes] = (), *, is
             )
     if gone := [name for name in stored.axes if name not in defaults]:
         raise SweepError(f"the axis {gone[0]} of the store is no parameter any more; --only leaves its points out")
-    others = {*stored.axes, *asked.axes, *(name for name, (somewhere, _) in stored.effects().items() if not somewhere)}
-    changed = [n for n in defaults if n not in others and sorted_json(was[n]) != sorted_json(now[n])]
+    alike = {*stored.axes, *asked.axes, *(name for name, (somewhere, _) in stored.effects().items() if not somewhere)}
+    changed = [n for n in defaults if n not in alike and sorted_json(was[n]) != sorted_json(now[n])]
     tables = [one.points for one in (asked, stored) if one.points is not None]
     excluded = tuple(clause for clause in asked.excluded if clause in stored.excluded)
     kept.pop(POINT, None)  # with rows that repeat others, and those that are not there yet
@@ -243,12 +244,17 @@ def _experiment(stored: Study, asked: Study) -> Experiment:
 
 
 def _sampling(stored: Study, asked: Study) -> Sampling:
-    """Return the sampling of the store where it has all realisations that are asked for, else what is asked."""
+    """Return the sampling of the store where it has all realisations that are asked for, else what is asked; where one
+    has a precision, what is enough for both.
+    """
     old, new = stored.sampling, asked.sampling
     if old.precision is None and new.precision is None:
         return old if old.n_sim >= new.n_sim and old.n_cat >= new.n_cat else new
-    same = (old.n_sim, old.n_cat, old.most) == (new.n_sim, new.n_cat, new.most)
-    return old if same and (old.precision or 1.0) <= (new.precision or 0.0) else new
+    n_sim, n_cat = max(old.n_sim, new.n_sim), max(old.n_cat, new.n_cat)
+    precision, most = zip(*((one.precision, one.most) for one in (old, new) if one.precision is not None), strict=True)
+    more = {"n_sim": n_sim, "n_cat": n_cat, "precision": min(precision), "max_n_sim": max(n_sim, *most)}
+    keys = attrgetter("n_sim", "n_cat", "precision", "most")
+    return next((one for one in (old, new) if keys(one) == tuple(more.values())), new.model_copy(update=more))
 
 
 def _counts(

@@ -53,6 +53,27 @@ def test_stopped_anywhere_or_of_a_coarser_precision_it_goes_on_to_the_same_numbe
     assert linksweep.open(tmp_path / "s.zarr").attrs["precision"] == 0.01
 
 
+PRECISE, MANY = {"n_sim": 64, "precision": 0.05}, {"n_sim": 700}
+
+
+@pytest.mark.parametrize(
+    ("first", "then"),
+    [(PRECISE, {"n_sim": 100}), (PRECISE, MANY), (MANY, PRECISE), (PRECISE, {"n_sim": 500, "precision": 0.2})],
+)
+def test_a_run_with_other_sampling_takes_nothing_from_the_points_of_a_store(tmp_path, first, then):
+    def run(sampling, scatter, store="s.zarr"):
+        return linksweep.run(levels, tmp_path / store, axes={"scatter": scatter}, sampling=sampling, pool="serial")
+
+    fresh = {name: run(one, [1.0, 10.0, 12.0], name) for name, one in (("first", first), ("then", then))}
+    run(first, [1.0, 10.0])
+    part = run(then, [10.0, 12.0])
+    whole = linksweep.open(tmp_path / "s.zarr")
+    for name, ds, scatter in (("first", whole, [1.0, 10.0]), ("then", part, [10.0, 12.0])):
+        assert np.all(ds.n_sim_done.sel(scatter=scatter) >= fresh[name].n_sim_done.sel(scatter=scatter))
+    if "precision" in first:
+        assert np.all(whole.level_mean_mc_error <= 0.05 * whole.level_mean)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "precision"), [("mean", 0.05), ("q95", 0.05), ("q95", 0.15), ("std", 0.15), ("median", 0.15)]
