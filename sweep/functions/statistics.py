@@ -117,7 +117,7 @@ def statistic(name: str, field: Field, moments: Array, n: Array) -> tuple[Array,
     twelve laws from the uniform to the lognormal one.
     """
     count = n[:, None]
-    mean, m2, m3, _, low, high = (moments[:, k] for k in range(MOMENTS))
+    mean, m2, m3, m4, low, high = (moments[:, k] for k in range(MOMENTS))
     if name in ("min", "max"):
         return (low if name == "min" else high), None
     if binary := field.type == "bool":
@@ -131,9 +131,10 @@ def statistic(name: str, field: Field, moments: Array, n: Array) -> tuple[Array,
             return np.round(mean * count), of_share * count
         # m2 has its largest value, for this mean and these extremes, where nothing lies between them
         two_values = (m2 >= (1.0 - SAME) * count * (mean - low) * (high - mean)) | binary
-        skewness = m3**2 / m2**3  # squared, over the number of realisations
+        skewness = (m3 / m2) ** 2 / m2  # squared, over the number of realisations; cubes of m2 may overflow
         fewest = FEWEST_SAMPLES if name == "mean" else FEWEST_FOR_STD
-        known = (extent > 0.0) & (skewness <= ONE_DECIDES) & (count >= fewest) | binary
+        fits = (m4 >= np.finfo(float).tiny) & (m4 < np.inf)  # in double precision
+        known = (extent > 0.0) & fits & (skewness <= ONE_DECIDES) & (count >= fewest) | binary
         variance = m2 / (count - 1.0)
         std = np.sqrt(variance)
         if name == "mean":
@@ -150,8 +151,8 @@ def _relative(moments: Array, n: Array) -> Array:
     count = n[:, None]
     _, m2, m3, m4 = (moments[:, k] for k in range(4))
     factor = (count - 1.0) / ((count - 2.0) * (count - 3.0))
-    kurtosis = np.maximum(factor * ((count + 1.0) * (count * m4 / m2**2 - 3.0) + 6.0), -2.0)
-    skewness = np.sqrt(m3**2 / m2**3 * count**2 * (count - 1.0)) / (count - 2.0)
+    kurtosis = np.maximum(factor * ((count + 1.0) * (count * (m4 / m2 / m2) - 3.0) + 6.0), -2.0)
+    skewness = np.sqrt((m3 / m2) ** 2 / m2 * count**2 * (count - 1.0)) / (count - 2.0)
     plain = (kurtosis + 2.0 + 2.0 / (count - 1.0)) / (4.0 * count)
     # by simulation, so that samples in which the tails are missing do not look too precise
     enlarged = np.exp(np.clip((8.0 * kurtosis + 62.0 * skewness + 3.3 * kurtosis**2) / count, -0.5, 3.0))
@@ -163,12 +164,16 @@ def _of_two_values(share: Array, error: Array, std: Array) -> Array:
     ends = np.clip([share - SIGMAS * error, share + SIGMAS * error], 0.0, 1.0)
     spreads = np.sqrt(ends * (1.0 - ends))
     most = np.where((ends[0] < 0.5) & (ends[1] > 0.5), 0.5, spreads.max(axis=0))
-    return _one_sigma(std, spreads.min(axis=0), most)
+    return np.asarray(np.hypot(most - std, std - spreads.min(axis=0)) / math.sqrt(2.0) / SIGMAS)
 
 
 def _one_sigma(value: Array, lower: Array, upper: Array) -> Array:
-    """Return one error for both sides of a value, from its limits at `SIGMAS`."""
-    return np.sqrt(0.5 * ((upper - value) ** 2 + (value - lower) ** 2)) / SIGMAS
+    """Return one error for both sides of a quantile, from its limits at `SIGMAS`: the root mean square of their
+    distances, or the larger one if that is more than twice the other, as where the law has a gap.
+    """
+    above, below = upper - value, value - lower
+    larger, mean = np.maximum(above, below), np.hypot(above, below) / math.sqrt(2.0)
+    return np.where(larger > 2.0 * np.minimum(above, below), larger, mean) / SIGMAS
 
 
 def quantiles(levels: Sequence[float], realisations: Array) -> Array:
