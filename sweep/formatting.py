@@ -9,10 +9,11 @@ import platform
 import re
 import shlex
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from functools import lru_cache
 from itertools import pairwise
-from math import floor, inf, isfinite, isnan, log10
+from math import floor, inf, isfinite, isnan, log10, nan
 from typing import Any, NamedTuple
 
 WIDTH = 80  # sentences are broken into lines of at most this many characters
@@ -157,6 +158,20 @@ def plain(values: Sequence[Any]) -> list[str]:
     digits = next((d for d in range(6, 17) if all(abs(float(f"{v:.{d}g}") - v) <= off[v] for v in off)), 17)
     texts = {v: min(f"{v:.{digits}g}", repr(v).removesuffix(".0"), key=len) for v in floats}
     return ["" if is_missing(v) else texts.get(v, str(v)) if isinstance(v, float) else str(v) for v in values]
+
+
+def meant(values: Sequence[Any], wanted: Any) -> set[int]:
+    """Return where the number is that was read as the one wanted: the texts of some, see `plain`, are not all of them,
+    and what is wanted is twenty times nearer to it than to any other.
+    """
+    number = nan
+    with suppress(ValueError, TypeError):
+        number = float(wanted)
+    numbers = {value for value in values if isinstance(value, int | float) and not is_missing(value)}
+    first, second = [*sorted(numbers, key=lambda value: abs(value - number)), number * (1.0 + 1e-9), number][:2]
+    if not 20.0 * abs(first - number) < abs(second - number):
+        return set()
+    return {i for i, v in enumerate(values) if isinstance(v, float) and v == first and float(plain(values)[i]) != v}
 
 
 def is_missing(value: Any) -> bool:

@@ -6,7 +6,6 @@ Everything that looks at results asks here, so that tables, laws, figures and pa
 from __future__ import annotations  # names of xarray, which is imported only where it computes
 
 import json
-import math
 from collections.abc import Collection, Container, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
@@ -16,7 +15,7 @@ from numpy.typing import NDArray
 
 from linksweep.sweep.contract import FEW, FEWEST_SAMPLES, Array, Status, SweepError, shown, small_sample_factor, suggest
 from linksweep.sweep.contract.rows import LENGTH, count_status, unfinished_in_words
-from linksweep.sweep.formatting import ERRORS, RAGGED, first_of, is_missing, is_truth, plain, prefixed, units_of
+from linksweep.sweep.formatting import ERRORS, RAGGED, first_of, is_missing, is_truth, meant, plain, prefixed, units_of
 from linksweep.sweep.stores.store import RUNNING, finished
 from linksweep.sweep.studies.record import FUNCTION, outer_draw_of
 from linksweep.sweep.studies.study import LOST, POINT, POINT_TABLE, Claim
@@ -427,7 +426,7 @@ def indices(dataset: xr.Dataset, places: Mapping[str, Any]) -> dict[str, list[in
         values = listed(dataset, name, [dimension])
         exact = list(dataset[name].values) if dataset[name].dtype.kind == "M" else values
         hits = {i for i, value in enumerate(exact) if _is_meant(value, wanted)}
-        if not (hits := hits or _shown_as(values, wanted)):
+        if not (hits := hits or meant(values, wanted)):
             there = first_of([text or "none" for text in plain(values)], FEW)
             problems.append(f"{name} = {wanted} is not in the grid, which has {there}")
         elif not chosen.setdefault(dimension, hits) & hits:
@@ -463,20 +462,6 @@ def _is_meant(value: object, wanted: Any) -> bool:
         with suppress(ValueError, TypeError):
             return bool(value == read(wanted))
     return False
-
-
-def _shown_as(values: Sequence[Any], wanted: Any) -> set[int]:
-    """Return where the number is that was read as the one wanted: the texts of some, see `plain`, are not all of them,
-    and what is wanted is twenty times nearer to it than to any other.
-    """
-    number = math.nan
-    with suppress(ValueError, TypeError):
-        number = float(wanted)
-    numbers = {value for value in values if isinstance(value, int | float) and not is_missing(value)}
-    first, second = [*sorted(numbers, key=lambda value: abs(value - number)), number * (1.0 + 1e-9), number][:2]
-    if not 20.0 * abs(first - number) < abs(second - number):
-        return set()
-    return {i for i, v in enumerate(values) if isinstance(v, float) and v == first and float(plain(values)[i]) != v}
 
 
 # What is missing

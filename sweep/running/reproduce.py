@@ -18,7 +18,7 @@ from linksweep.sweep.contract import ResultError, Status, SweepError, shown, sug
 from linksweep.sweep.executing.executor import Children
 from linksweep.sweep.executing.task import Task, TaskResult
 from linksweep.sweep.executing.worker import run_task
-from linksweep.sweep.formatting import first_of
+from linksweep.sweep.formatting import first_of, meant, plain
 from linksweep.sweep.planning.grid import Grid, GridPoint, describe
 from linksweep.sweep.running.run import Session, differences_of_code, records_of
 from linksweep.sweep.stores.location import Folder, Where, located
@@ -261,7 +261,9 @@ def _on_axis(study: Study, name: str, text: str) -> dict[str, Any]:
         raise ValueError(f"{name}: is not an axis{suggest(name, list(study.axes))}")
     parameter = study.experiment.parameter(name)
     value = parameter.parse(parse_value(text, is_text=parameter.kind == "str"))
-    if all(is_other(value, one) for one in study.axes[name]):
-        values = first_of(list(study.axes[name]), MOST_NAMED)
-        raise ValueError(f"{name} = {shown(value)}: not on the axis, which has {values}")
+    axis = list(study.axes[name])
+    if all(is_other(value, one) for one in axis):
+        if not (hits := meant(axis, value)):
+            raise ValueError(f"{name} = {shown(value)}: not on the axis, which has {first_of(plain(axis), MOST_NAMED)}")
+        value = axis[min(hits)]
     return {name: value}
