@@ -37,7 +37,8 @@ SUMS: Mapping[str, tuple[int, ...]] = {
     "predicted_bias_squares": (len(ALL),),
     "condition_number": (),
     "n_obj": (),
-    "batch_mean_squares": (len(ALL),),
+    "chi2_variance": (),
+    "batch_mean_squares": (len(ALL) + 2,),
     "batches": (),
 }
 
@@ -107,9 +108,14 @@ def summarise(sums: Mapping[str, Array], n: Array, n_cat: Array) -> dict[str, Ar
         "chi2": sums["chi2"] / n,
         "dof": 2.0 * kinds * n_obj - ORIENTATION.stop * kinds - np.where(undetermined[:, GLIDE.start], 0.0, 3.0),
     }
-    biases = {"": bias, "_mc_error": _bias_error(sums, bias, variance, n, n_cat)}
-    biases["_predicted"] = np.where(undetermined, np.nan, sums["predicted_bias"] / each)
-    for end, values in biases.items():
+    between = sums["batch_mean_squares"] / each
+    # nothing but the choice of catalogues changes the condition number
+    whole = np.column_stack([variance, between[:, -2] + sums["chi2_variance"] / n, between[:, -1]])
+    means = np.column_stack([bias, results["chi2"], results["condition_number"]])
+    errors = _error_of_mean(means, whole, between, sums["batches"][:, None], each, n_cat[:, None])
+    results |= {"chi2_mc_error": errors[:, -2], "condition_number_mc_error": errors[:, -1]}
+    predicted_bias = np.where(undetermined, np.nan, sums["predicted_bias"] / each)
+    for end, values in {"": bias, "_mc_error": errors, "_predicted": predicted_bias}.items():
         results |= {f"bias{end}": values[:, ALWAYS], f"glide_bias{end}": values[:, GLIDE]}
     sigma, expected = np.sqrt(_with_means(variance)), _with_means(total)
     sigmas = {
@@ -168,17 +174,18 @@ def _correlation(covariance: Array) -> Array:
     return np.asarray(covariance * scale[..., :, None] * scale[..., None, :])
 
 
-def _bias_error(sums: Mapping[str, Array], bias: Array, variance: Array, n: Array, n_cat: Array) -> Array:
-    """Return the error of a bias taken as the mean over all possible catalogues, each of which may have its own bias;
+def _error_of_mean(
+    mean: Array, squares: Array, batch_squares: Array, batches: Array, each: Array, catalogues: Array
+) -> Array:
+    """Return the error of a bias, or another mean, taken over all possible catalogues, each of which may have its own;
     for a single catalogue, the error of its own bias.  NaN where catalogues are too few to show their scatter.
 
     A batch is the realisations of a catalogue in one block: batches of one catalogue share its bias.  The mean squares
     between and within batches give the variance of both kinds (nested analysis of variance, e.g. Searle, Casella &
     McCulloch 1992, Variance Components, Sect. 3.6).
     """
-    batches, each, catalogues = sums["batches"][:, None], n[:, None], n_cat[:, None]
-    between = np.maximum(sums["batch_mean_squares"] / each - bias**2, 0.0)  # divided by n, like the next two
-    total = np.maximum(variance - bias**2, 0.0)  # rounding may leave it just below zero
+    between = np.maximum(batch_squares - mean**2, 0.0)  # divided by n, like the next two
+    total = np.maximum(squares - mean**2, 0.0)  # rounding may leave it just below zero
     within = np.maximum(total - between, 0.0)
     factor = small_sample_factor(catalogues)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -230,5 +237,5 @@ link = Experiment(
     outer_draw="catalogue",
     cost=cost,
     shared=SHARED,
-    nan_sums=("error", "batch_mean_squares"),
+    nan_sums=("error", "batch_mean_squares", "chi2_variance"),
 )

@@ -232,7 +232,11 @@ OUTPUTS = (
     Output("covariance", _PRODUCTS, "covariance of the estimates about their mean", _PAIR, nan=True),
     Output("correlation", "", "correlation of the estimates about their mean", _PAIR, nan=True),
     Output("condition_number", "", "condition of the normal matrix scaled to a diagonal of 1 (mean over catalogues)"),
+    Output(
+        "condition_number_mc_error", "", "Monte-Carlo error of condition_number; NaN for 2 to 4 catalogues", nan=True
+    ),
     Output("chi2", "", "mean chi2 of the solution; dof if weights are those of uncorrelated errors"),
+    Output("chi2_mc_error", "", "Monte-Carlo error of chi2; NaN for 2 to 4 catalogues", nan=True),
     Output("dof", "", "degrees of freedom of chi2 (mean over catalogues)"),
     *_with_errors("glide_sigma", PM, "RMS of estimate - truth of a glide that was solved for", _GLIDE),
     *_bias("glide_bias", PM, "mean of estimate - truth of a glide that was solved for", _GLIDE),

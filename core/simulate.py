@@ -22,15 +22,15 @@ Streams = tuple[np.random.Generator, np.random.Generator]
 Sums = dict[str, Array]
 """Sums over realisations by name, for the K = 6 unknowns orientation (mas) and spin (mas/yr).
 
-``error`` (K + 3,) of estimate - truth of these and of a glide, ``error_products`` (K, K) and ``glide_squares`` (3,),
-``batch_mean_squares`` (K + 3,), the square of error over n_sim, and ``batches``, which is 1; ``chi2``.  Counted once
-per realisation of the catalogue: the closed form's ``predicted_variance`` (K + 3,), its ``predicted_bias`` and the
-squares of that; of the mean square error of each unknown, and of its means over orientation and over spin, the squares
-and cubes, ``predicted_powers`` (2, K + 5), and the variance of one realisation, ``predicted_square_variance``; the
-``condition_number`` of the normal matrix and ``n_obj``.  ``estimate`` are the realisations themselves, where they are
-kept: (n_sim, K), or (n_sim, K + 3) with a glide. Errors and estimates are NaN for unknowns that no measured observable
-determines, or that are not solved for; their other sums are zero. For a stack of catalogues all arrays have a leading
-axis.
+``error`` (K + 3,) of estimate - truth of these and of a glide, ``error_products`` (K, K) and ``glide_squares`` (3,);
+``chi2``; ``batch_mean_squares`` (K + 5,), the squares of error, chi2 and the sum of condition numbers over n_sim, and
+``batches``, which is 1.  Counted once per realisation of the catalogue: the closed form's ``predicted_variance``
+(K + 3,), its ``predicted_bias`` and the squares of that; of the mean square error of each unknown, and of its means
+over orientation and over spin, the squares and cubes, ``predicted_powers`` (2, K + 5), and the variance of one
+realisation, ``predicted_square_variance``; that of chi2, NaN where it has no closed form; the ``condition_number`` of
+the normal matrix and ``n_obj``.  ``estimate`` are the realisations themselves, where they are kept: (n_sim, K), or
+(n_sim, K + 3) with a glide. Errors and estimates are NaN for unknowns that no measured observable determines, or that
+are not solved for; their other sums are zero. For a stack of catalogues all arrays have a leading axis.
 """
 
 
@@ -162,7 +162,7 @@ class _Point:
         stack, n_sim, fixed = self.setup.stack, self.n_sim, self.setup.fixed
         error, products = self.error / MAS, self.products / MAS**2
         error[..., fixed] = np.nan  # they stayed at the truth, which is no result
-        bias, covariance = self.design.bias / MAS, self.covariance
+        bias, covariance, condition = self.design.bias / MAS, self.covariance, self.design.condition_number
         variance = np.einsum("...kk->...k", covariance)
         mean_squares = variance + np.square(bias)
         # x_k^2 and x_l^2 of normal x with the mean b and the covariance V have the covariance 2 V_kl (V_kl + 2 b_k b_l)
@@ -182,9 +182,10 @@ class _Point:
             "predicted_square_variance": n_sim * self._whole(np.einsum("...kk->...k", of_squares), means=of_means),
             "predicted_bias": n_sim * self._whole(bias),
             "predicted_bias_squares": n_sim * self._whole(np.square(bias)),
-            "condition_number": n_sim * self.design.condition_number,
+            "condition_number": n_sim * condition,
             "n_obj": np.full(stack, float(n_sim * self.setup.n_obj)),
-            "batch_mean_squares": np.square(self._whole(error, np.nan)) / n_sim,
+            "chi2_variance": n_sim * self.design.chi2_variance(),
+            "batch_mean_squares": np.square(self._whole(error, np.nan, (self.chi2, n_sim * condition))) / n_sim,
             "batches": np.ones(stack),
         }
         if self.kept is not None:

@@ -55,6 +55,11 @@ def test_every_error_of_a_link(case, n_cat, n_sim):
             truth, of_catalogues = np.sqrt(np.mean(predicted**2, axis=0)), dataset[f"{name}_catalogue_error"]
             assert_covers((predicted - truth) / of_catalogues, dof=n_cat - 1)
             assert_covers((value - truth) / np.hypot(by_chance, of_catalogues), dof=n_cat - 1)
+    if n_cat >= 5:
+        for name in ("chi2", "condition_number")[: 1 + (case != "three-objects")]:  # whose conditions have no mean
+            assert_covers((dataset[name] - dataset[name].mean()) / dataset[f"{name}_mc_error"], dof=n_cat - 1)
+    elif n_cat == 1 and case in ("quasars", "poor-geometry"):
+        assert_covers((dataset["chi2"] - dataset["dof"]) / dataset["chi2_mc_error"])
     for name in ("bias", "glide_bias")[: 1 + len(glide)]:
         predicted = dataset[f"{name}_predicted"]
         if n_cat == 1:

@@ -86,6 +86,11 @@ def test_summarise_against_direct_formulas(solve_glide):
             f"{name}_rms_predicted": whole,
             f"{name}_catalogue_error": error_of_mean / (2 * whole),
         }
+    chi2, condition = (np.array([block[name][0] for block in blocks]) for name in ("chi2", "condition_number"))
+    expected |= {
+        "chi2_mc_error": np.sqrt(2 * chi2.var() / 4),
+        "condition_number_mc_error": np.sqrt(2 * condition.var() / 4),
+    }
     for name, part in (("bias", slice(0, 6)), ("glide_bias", slice(6, 9)))[: 1 + solve_glide]:
         expected[name] = error.mean(axis=0)[part]
         expected[f"{name}_predicted"] = predicted_bias.mean(axis=0)[part]
