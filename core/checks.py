@@ -33,6 +33,12 @@ SMALLEST_GLIDE = 3
 EPOCH, SAME_EPOCH_YR = "ref_epoch", 0.01
 """The column that gives the epoch of a row, and how much epochs may differ without a warning."""
 
+OF_MOTIONS = (
+    *("zonal_pm", "motion_field", "motion_field_size", "omega_slope", "omega_slope_size"),
+    *("magnitude_equation_pmra", "magnitude_equation_pmdec", "aberration", "glide"),
+)
+"""Parameters that act on proper motions alone."""
+
 LARGE_SHARE = 0.1
 """Share of the weight of all objects above which an object is named."""
 
@@ -71,6 +77,10 @@ def _catalogue_problem(point: Point) -> str | None:
 
 
 def _systematics_problem(point: Point) -> str | None:
+    random = ("epsilon", "omega") if point["directions"] == "random" else ()
+    for name in ("epsilon", "omega", "omega_slope"):
+        if name not in random and point[f"{name}_size"] and not any(point[name]):
+            return f"{name}_size = {point[f'{name}_size']:g}: {name} = {list(point[name])} gives it no direction"
     try:
         need_magnitudes = scenario.systematics(point).need_magnitudes
     except ValueError as error:
@@ -203,6 +213,11 @@ def unused(point: Point) -> dict[str, str]:
         clauses["glide"] = "it is for aberration = true"
     if scenario.zonal_errors(point) is None:
         clauses["zonal_length"] = "it is for zonal errors, zonal_pos or zonal_pm above 0"
+    errors = scenario.expected_errors(point, scenario.error_models(point))
+    position, motion = errors[..., :2].any(), errors[..., 2:].any()
+    if position != motion:
+        what, names = ("proper motions", OF_MOTIONS) if position else ("positions", ("zonal_pos",))
+        clauses |= dict.fromkeys(names, f"{what} have no errors on either side, so that they are not measured")
     if point["motion_field"] is None:
         clauses["motion_field_size"] = "it is for a motion_field"
     if not scenario.systematics(point).need_magnitudes:

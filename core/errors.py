@@ -198,7 +198,7 @@ class MagnitudeErrors(ErrorModel):
         """
         brightest, faintest = catalogue.magnitudes(point)
         if math.isnan(faintest):
-            return f"{side}_errors = 'magnitude' needs a magnitude column (v_mag, phot_g_mean_mag) in the file"
+            return f"{side}_errors = 'magnitude' needs a magnitude column (v_mag, phot_g_mean_mag, vt_mag) in the file"
         model, end = point["model"], self.mission.faint_limit_mag
         if faintest > end:
             return f"v_max = {faintest:g} mag: the curve of {str(model)!r} ends at {end:g} mag"

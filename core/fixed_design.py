@@ -102,13 +102,9 @@ class FixedDesign:
     def chi2_variance(self) -> Array:
         """Return the variance of chi2 (...), of the noncentral law; NaN where weights are not those of the errors."""
         setup = self.setup
-        sides = setup.reference, setup.satellite
-        if not any(sides):
-            return np.zeros_like(self.residual_squares)
-        observed = setup.n_obj * 2 * sum(setup.measured)
-        dof = observed - len(setup.truth) + len(setup.truth[setup.fixed])
-        known = self.optimal and all(side.as_weighed for side in sides)
-        return 2.0 * dof + 4.0 * self.residual_squares if known else np.full_like(self.residual_squares, np.nan)
+        dof = setup.n_obj * 2 * sum(setup.measured) - len(setup.truth) + len(setup.truth[setup.fixed])
+        known = self.optimal and setup.reference.as_weighed and setup.satellite.as_weighed
+        return (2.0 * dof + 4.0 * self.residual_squares) * (1.0 if known else np.nan)
 
     @property
     def optimal(self) -> bool:

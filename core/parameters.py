@@ -1,6 +1,6 @@
 """What a study of the link can set, and what comes out: names, units, defaults and meanings, nothing else."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 from linksweep.core.catalogues import CATALOGUES
@@ -195,53 +195,47 @@ _PRODUCTS = ", ".join([_TOP] * 3 + [_BOTTOM] * 3)
 _COMPONENT, _PAIR, _GLIDE = ("component",), ("component", "component_other"), ("glide_component",)
 
 
-def _with_errors(
-    name: str, unit: str, meaning: str, dims: tuple[str, ...] = (), headline: bool = False, symbol: str = ""
+_PREDICTION, _OF_MEANS = "closed-form prediction of {} for the same catalogues", "; NaN for 2 to 4 catalogues"
+_BIAS = {"predicted": _PREDICTION, "mc_error": f"Monte-Carlo error of {{}}{_OF_MEANS}"}
+_SIGMA = {
+    "mc_error": "Monte-Carlo error of {} for these catalogues",
+    "predicted": f"{_PREDICTION}, from the errors alone, without the bias",
+    "rms_predicted": f"{_PREDICTION}, from errors and bias together",
+    "catalogue_error": "error of {} as the mean over all possible catalogues; NaN for n_cat below 5",
+}
+
+
+def _with(
+    beside: Mapping[str, str], name: str, unit: str, meaning: str, dims: tuple[str, ...] = (), **more: Any
 ) -> list[Output]:
-    prediction = f"closed-form prediction of {name} for the same catalogues"
-    beside = {
-        "mc_error": f"Monte-Carlo error of {name} for these catalogues",
-        "predicted": f"{prediction}, from the errors alone, without the bias",
-        "rms_predicted": f"{prediction}, from errors and bias together",
-        "catalogue_error": f"error of {name} as the mean over all possible catalogues; NaN for n_cat below 5",
-    }
-    return [
-        Output(name, unit, meaning, dims, headline, symbol, nan=True),
-        *(Output(f"{name}_{key}", unit, text, dims, nan=True) for key, text in beside.items()),
-    ]
-
-
-def _bias(name: str, unit: str, meaning: str, dims: tuple[str, ...]) -> list[Output]:
-    beside = {
-        "": meaning,
-        "_predicted": f"closed-form prediction of {name} for the same catalogues",
-        "_mc_error": f"Monte-Carlo error of {name}; NaN for 2 to 4 catalogues",
-    }
-    return [Output(f"{name}{end}", unit, text, dims, nan=True) for end, text in beside.items()]
+    """Declare a result that may be NaN, with what stands beside it."""
+    others = (Output(f"{name}_{key}", unit, text.format(name), dims, nan=True) for key, text in beside.items())
+    return [Output(name, unit, meaning, dims, nan=True, **more), *others]
 
 
 OUTPUTS = (
     Output("n_obj", "", "number of objects in the catalogue (mean over catalogues)", (), True, r"$N_\mathrm{obj}$"),
-    *_with_errors("sigma_spin", PM, "RMS error of the spin, over its components", (), True, r"$\sigma(\omega)$"),
-    *_with_errors(
-        *("sigma_orientation", "mas", "RMS error of the orientation, over its components"),
-        *((), False, r"$\sigma(\epsilon)$"),
+    *_with(
+        *(_SIGMA, "sigma_spin", PM, "RMS error of the spin, over its components"),
+        headline=True,
+        symbol=r"$\sigma(\omega)$",
     ),
-    *_with_errors("sigma", _EACH, "RMS of estimate - truth", _COMPONENT),
-    *_bias("bias", _EACH, "mean of estimate - truth", _COMPONENT),
+    *_with(
+        *(_SIGMA, "sigma_orientation", "mas", "RMS error of the orientation, over its components"),
+        symbol=r"$\sigma(\epsilon)$",
+    ),
+    *_with(_SIGMA, "sigma", _EACH, "RMS of estimate - truth", _COMPONENT),
+    *_with(_BIAS, "bias", _EACH, "mean of estimate - truth", _COMPONENT),
     Output("covariance", _PRODUCTS, "covariance of the estimates about their mean", _PAIR, nan=True),
     Output("correlation", "", "correlation of the estimates about their mean", _PAIR, nan=True),
     Output("condition_number", "", "condition of the normal matrix scaled to a diagonal of 1 (mean over catalogues)"),
-    Output(
-        "condition_number_mc_error", "", "Monte-Carlo error of condition_number; NaN for 2 to 4 catalogues", nan=True
-    ),
+    Output("condition_number_mc_error", "", f"Monte-Carlo error of condition_number{_OF_MEANS}", nan=True),
     Output("chi2", "", "mean chi2 of the solution; dof if weights are those of uncorrelated errors"),
-    Output("chi2_mc_error", "", "Monte-Carlo error of chi2; NaN for 2 to 4 catalogues", nan=True),
+    Output("chi2_mc_error", "", f"Monte-Carlo error of chi2{_OF_MEANS}", nan=True),
     Output("dof", "", "degrees of freedom of chi2 (mean over catalogues)"),
-    *_with_errors("glide_sigma", PM, "RMS of estimate - truth of a glide that was solved for", _GLIDE),
-    *_bias("glide_bias", PM, "mean of estimate - truth of a glide that was solved for", _GLIDE),
+    *_with(_SIGMA, "glide_sigma", PM, "RMS of estimate - truth of a glide that was solved for", _GLIDE),
+    *_with(_BIAS, "glide_bias", PM, "mean of estimate - truth of a glide that was solved for", _GLIDE),
 )
 
-SAMPLE_OUTPUTS = (
-    Output("estimate", _EACH, "estimate of each realisation, where a study keeps them", _COMPONENT, nan=True),
-)
+_ESTIMATE = "estimate of each realisation, where a study keeps them; estimate - truth where directions are random"
+SAMPLE_OUTPUTS = (Output("estimate", _EACH, _ESTIMATE, _COMPONENT, nan=True),)

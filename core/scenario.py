@@ -131,7 +131,7 @@ def _radians(point: Point, name: str) -> Vector:
     if size is not None:
         scaled = vector * MAS
         length = np.linalg.norm(scaled)
-        # a direction of zeros is taken as the x axis, so that a size alone is enough
+        # a direction of zeros may be one that is random
         vector = scaled / length * size if length > 0.0 else np.array([size, 0.0, 0.0])
     x, y, z = (vector * MAS).tolist()
     return x, y, z

@@ -153,7 +153,9 @@ class _Point:
         self.products += error @ error.swapaxes(-1, -2)
         self.chi2 += chi2
         if self.kept is not None:
-            self.kept.append((error.T + self.setup.truth) / MAS)
+            # each catalogue has its own truth where directions are random, and nothing would tell it
+            truth = 0.0 if self.setup.scenario.random_directions else self.setup.truth
+            self.kept.append((error.T + truth) / MAS)
 
     def sums(self) -> Sums:
         """Return what has been added up."""

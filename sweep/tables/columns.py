@@ -37,7 +37,7 @@ NAMES: Mapping[str, tuple[str, ...]] = {
     "pmdec": ("pmdec", "pm_dec", "pmDE"),
     "ref_epoch": ("ref_epoch", "epoch", "pos_epoch", "posepoch", "mjd"),
     "radial_velocity": ("radial_velocity", "dr2_radial_velocity", "rv"),
-    "v_mag": ("v_mag", "phot_g_mean_mag", "vt_mag"),
+    "v_mag": ("v_mag", "vmag", "phot_g_mean_mag", "gmag", "vt_mag", "vtmag"),
     "name": (
         *("name", "objname", "object", "designation", "main_id", "source_name", "iers", "id", "source_id"),
         *("hip", "tyc"),

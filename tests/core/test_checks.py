@@ -29,6 +29,8 @@ def at(folder, contents=None, **changes):
 BOTH = {"reference_errors": "catalogue", "satellite_errors": "catalogue"}
 OF_VLBI = {"columns": (("reference_pmdec_error", "d"), ("reference_pmra_error", "a"))}
 
+MOTIONS, POSITIONS = ({"satellite_errors": "normal", f"satellite_sigma_{kind}": 0.0} for kind in ("pos", "pm"))
+
 
 @pytest.mark.parametrize(
     "changes",
@@ -121,12 +123,25 @@ def test_what_is_unused_really_changes_nothing_and_the_rest_of_a_catalogue_somet
     base = link.defaults() | {"catalogue": catalogue, "n_obj": 8}
     unused, reference = link.unused(base), evaluated(4, base)
     for name, value in OTHER.items():
-        if link.check(base | {name: value}) is not None:
+        changed = base | {name: value} | ({"omega_slope": OTHER["omega_slope"]} if name == "omega_slope_size" else {})
+        if link.check(changed) is not None:
             assert catalogue == "radio-stars", name  # which has no limits, and says so
             continue
-        found = evaluated(4, base | {name: value})
+        found = evaluated(4, changed)
         same = all(np.array_equal(found[k], reference[k], equal_nan=True) for k in reference)
         assert same == (name in unused) or name == "corrections", name  # which need motions to change something
+
+
+@pytest.mark.parametrize("fixed", [MOTIONS, POSITIONS])
+def test_what_acts_on_what_is_not_measured_is_unused(fixed):
+    base = points.point(**fixed, mean_pm=100.0)
+    names = [name for name, why in link.unused(base).items() if "not measured" in why]
+    assert "zonal_pos" in names or {"zonal_pm", "omega_slope_size", "aberration"} <= set(names)
+    reference = evaluated(4, base)
+    for name in names:
+        found = evaluated(4, base | {one: OTHER[one] for one in {name, name.removesuffix("_size")}})
+        for key in reference.keys() - {"chi2_variance"}:
+            np.testing.assert_allclose(found[key], reference[key], rtol=1e-9, err_msg=f"{name}: {key}")
 
 
 @pytest.mark.parametrize(
@@ -139,6 +154,10 @@ def test_what_is_unused_really_changes_nothing_and_the_rest_of_a_catalogue_somet
         ({"epsilon": [0.0, 0.0, 1.0], "directions": "random", "epsilon_size": 1.0}, "1.0) changes nothing"),
         ({"satellite_errors": "none", "satellite_floor_pm": 1.0}, "satellite_floor_pm = 1.0 changes nothing"),
         ({"zonal_length": 5.0, "zonal_pm": 1.0}, "zonal_length = 5"),
+        ({"omega_slope_size": 0.2}, "omega_slope_size = 0.2: omega_slope = [0.0, 0.0, 0.0] gives it no direction"),
+        ({"epsilon": [0.0, 0.0, 0.0], "epsilon_size": 3.0}, "epsilon_size = 3: epsilon"),
+        (MOTIONS | {"zonal_pos": 1.0}, "positions have no errors on either side"),
+        (POSITIONS | {"omega_slope": [0.0, 0.0, 1.0]}, "proper motions have no errors on either side"),
         ({"method": "projected", "zonal_pm": 1.0}, "method = 'projected' needs errors that are independent"),
         ({"method": "projected", "satellite_error_ratio": 2.0}, "satellite_error_ratio = 1"),
     ],

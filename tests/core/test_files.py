@@ -75,6 +75,8 @@ def test_units_are_converted_and_those_that_are_not_there_are_the_usual_ones(wri
 
 def test_a_map_of_names_comes_first_and_only_positions_are_needed(write):
     np.testing.assert_array_equal(read(write(GAIA | {"other": 2 * MAG}), {"v_mag": "other"}).v_mag, 2 * MAG)
+    for name in ("vt_mag", "Vmag", "Gmag", "VTmag"):
+        np.testing.assert_array_equal(read(write({"ra": RA, "dec": DEC, name: MAG})).v_mag, MAG)
     found = read(write({"ra": RA, "dec": DEC}))
     assert np.all(np.isnan(found.v_mag))
     assert not np.any([found.pmra, found.pmdec])

@@ -94,6 +94,14 @@ def test_errors_at_the_stop_hold_the_truth_as_often_as_others(tmp_path, name, pr
     assert np.sqrt(np.mean(((value - truth) / error) ** 2)) < 1.1
 
 
+def test_a_link_of_positions_alone_is_as_precise_as_its_orientation(tmp_path):
+    fixed = {"n_obj": 20, "satellite_errors": "normal", "satellite_sigma_pm": 0.0, "method": "projected"}
+    study = {"fixed": fixed, "axes": {"error_scale": [1.0]}, "title": "p"}
+    dataset = linksweep.run(study | {"sampling": {"n_sim": 64, "precision": 0.05}}, tmp_path / "s", pool="serial")
+    assert dataset["sigma_orientation_mc_error"].item() < 0.05 * dataset["sigma_orientation"].item()
+    assert dataset["n_sim_done"].item() < 512  # 1/(6 0.05^2) = 67, or up to three times as many
+
+
 def test_what_is_alike_at_all_realisations_has_no_error_and_does_not_hold_up_a_precision(tmp_path):
     def walk(*, rng, n_sim):
         steps = rng.normal(3.0, 1.0, (n_sim, 2))
