@@ -197,10 +197,11 @@ def again_where(store: Store, study: Study, condition: str) -> dict[bytes, Recor
     made_by_other = [
         point.digest in failed or any(row in some for row in rows[point.digest] for some in other) for point in points
     ]
+    texts = {name for p in points for name, value in p.parameters.items() if isinstance(value, str | Named)}
+    labelled = [{n for n in texts if p.parameters[n] is not None or n not in study.when} for p in points]
     table = [
-        {OLD: is_old}
-        | {name: str(value) if isinstance(value, Named) else value for name, value in p.parameters.items()}
-        for p, is_old in zip(points, made_by_other, strict=True)
+        {OLD: is_old} | {name: str(value) if name in some else value for name, value in p.parameters.items()}
+        for p, is_old, some in zip(points, made_by_other, labelled, strict=True)
     ]
     columns = pd.DataFrame(table, index=range(len(points))).convert_dtypes()
     met = rows_where(from_frame(columns), condition, "--redo", may_be_none=True) if points else ()

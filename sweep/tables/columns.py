@@ -574,7 +574,8 @@ class _Condition:
             is_in = isinstance(comparison, (ast.In, ast.NotIn))
             right, compare = self._operand(other, is_in), _COMPARISONS.get(type(comparison))
             if compare is None or (left.kind != right.kind and "text" in (left.kind, right.kind)):
-                raise self._refused(other, f"{left.kind} cannot be compared with {right.kind} in this way")
+                quotes = " (text is in quotes, '1')" if "text" in (left.kind, right.kind) else ""
+                raise self._refused(other, f"{left.kind} cannot be compared with {right.kind} in this way{quotes}")
             flags &= compare(left.values, right.values) & np.logical_not(left.missing | right.missing)
             left = right
         return flags

@@ -247,6 +247,29 @@ def test_a_condition_that_is_none_is_refused_and_never_run(tmp_path, monkeypatch
     assert not (tmp_path / "there").exists()
 
 
+@pytest.mark.parametrize(
+    ("axis", "condition", "chosen"),
+    [
+        (["b", "c", None], "k != 'b'", ["c", None]),
+        (["b", "c", None], "k == 'None'", [None]),
+        ([1, "b"], "k == '1'", [1]),
+        ([1, 2, None], "not (k <= 1)", [2, None]),
+    ],
+)
+def test_a_condition_has_the_values_that_the_dataset_shows(tmp_path, axis, condition, chosen):
+    calls = []
+
+    def f(k):
+        calls.append(k)
+        return repr(k)
+
+    study = {"axes": {"k": axis}, "store": tmp_path / "s.zarr", "pool": "serial", "deterministic": False}
+    linksweep.run(f, **study)
+    calls.clear()
+    linksweep.run(f, **study, redo=condition)
+    assert sorted(calls, key=repr) == sorted(chosen, key=repr)
+
+
 def test_points_that_are_computed_again_say_so_until_they_are_and_each_is_once(tmp_path):
     calls = []
 
