@@ -617,7 +617,7 @@ def _crossing(line: Line, i: int, threshold: float, over_unit: str) -> tuple[flo
 
     The line is within two of its errors of the threshold up to two errors of the place, on the side where that is
     farther (Fieller 1954): noise, which chooses the points on both sides, makes the line between them too steep.  The
-    error is NaN where the line does not leave the threshold.
+    error is NaN where the line does not leave the threshold, on the side that it crosses to.
     """
     (u, *_), z = _pair(line, i, threshold), on_scale(line.x, over_unit)
     fraction = u[0] / (u[0] - u[1])
@@ -632,19 +632,23 @@ def _crossing(line: Line, i: int, threshold: float, over_unit: str) -> tuple[flo
 
 
 def _reach(line: Line, z: Array, start: int, fraction: float, threshold: float) -> float:
-    """Return up to which place a line is within `SIGMAS` of its errors of a threshold, from a fraction of the way from
-    point ``start`` to the next; beyond the last point the line goes on.  NaN if there is no such place.
+    """Return up to which place a line is within `SIGMAS` of its errors of a threshold, or on the side it comes from,
+    from where it meets it, a fraction of the way from point ``start`` to the next; beyond the last point the line goes
+    on.  NaN if there is no such place.
     """
+    side = np.sign(line.y[start + 1] - line.y[start])
     for i in range(start, len(z) - 1):
         u, spread, _ = _pair(line, i, threshold)
         at, along = np.array([1.0 - fraction, fraction]), np.array([-1.0, 1.0])
         spread = SIGMAS**2 * small_sample_factor(line.samples) * spread
         # The square of the line less that of its errors is c + 2 b s + a s^2 at a distance s.
-        off, slope = at @ u, along @ u
+        off, slope = at @ u if i > start else 0.0, along @ u
         a, b, c = slope**2 - along @ spread @ along, off * slope - at @ spread @ along, off**2 - at @ spread @ at
         with np.errstate(invalid="ignore", divide="ignore"):
-            s = 0.0 if c >= 0.0 else -c / (b + np.sqrt(b * b - a * c))
-        if s >= 0.0 and (fraction + s <= 1.0 or i == len(z) - 2):
+            ends = (-b + np.array([-1.0, 1.0]) * np.sqrt(b * b - a * c)) / a
+        ends = ends[(ends >= 0.0) & (side * (off + slope * ends) > 0.0)]
+        s = 0.0 if c >= 0.0 <= side * off else min(ends, default=np.inf)
+        if np.isfinite(s) and (fraction + s <= 1.0 or i == len(z) - 2):
             return float(z[i] + (fraction + s) * (z[i + 1] - z[i]))
         fraction = 0.0
     return np.nan

@@ -208,6 +208,22 @@ def test_crossings_of_points_with_errors_of_any_size(noise, truth):
     assert 0.955 - 4.0 * np.sqrt(0.955 * 0.045 / 400) < within < 0.999
 
 
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("noise", [0.7, 1.4, 2.8])
+def test_a_line_that_turns_back_at_the_limit_has_not_crossed_it(noise, mirrored):
+    """The truth is near the last point, in steps of the axis, and noise crosses before; for most there is no error."""
+    x = np.arange(6.0)
+    y = x - 4.8 + noise * np.random.default_rng(6).standard_normal((400, 6))
+    found = find(grid(y[:, ::-1] if mirrored else y, noise, x=x), "width > 0", "n")
+    for name in ("first", "last"):
+        wrong = abs(found[name].values - (0.2 if mirrored else 4.8)) > 2.0 * found[f"{name}_error"].values
+        assert wrong.sum() < 400 * 0.045 + 4.0 * np.sqrt(400 * 0.045)
+    tops = np.array([[-5.0, 0.5, -5.0, -5.0], [-5.0, 0.5, -5.0, 5.0]])  # with errors of 1: above the limit, or not?
+    errors = find(grid(-tops if mirrored else tops, 1.0, x=x[:4]), "width > 0", "n")["first_error"].values
+    assert np.isnan(errors[0])
+    assert 0.7 < errors[1] < 1.5
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("correlation", [0.0, 0.8])
 def test_stated_errors_and_chi2_of_a_power_law_are_those_of_simulated_points(correlation):
