@@ -591,6 +591,7 @@ def merge(
 
     \b
     sweep merge results/quasars.zarr.part-* -o results/quasars.zarr
+    sweep merge 'results/quasars.zarr.part-*-of-20000' -o results/quasars.zarr
     sweep merge results/low.zarr results/high.zarr -o results/all.zarr
     """
     from linksweep.sweep.running.merge import merge as merge_stores
@@ -608,14 +609,14 @@ SCRIPT = """\
 #!/bin/sh
 # Submits {name} as a job array of {total} parts, and a job that merges them when all have ended.
 set -e
-array=$(sbatch --parsable --array=1-{total} --output={folder}/%A_%a.log {options} <<'END_OF_JOB'
+array=$(sbatch --parsable --array=1-{total} --output={logs}/%A_%a.log {options} <<'END_OF_JOB'
 #!/bin/bash
 exec {run} --part "$SLURM_ARRAY_TASK_ID/{total}" --workers "${{SLURM_CPUS_PER_TASK:-1}}" --break-lock
 END_OF_JOB
 )
-sbatch --dependency="afterany:${{array%%;*}}" --output={folder}/merge-%j.log {options} <<'END_OF_JOB'
+sbatch --dependency="afterany:${{array%%;*}}" --output={logs}/merge-%j.log {options} <<'END_OF_JOB'
 #!/bin/bash
-exec {merge} -o {store} {store}.part-{{1..{total}}}-of-{total}
+exec {merge} -o {store} {parts}
 END_OF_JOB
 """
 
@@ -648,19 +649,20 @@ def submit(
     script = SCRIPT.format(
         name=typed(study.name),
         total=tasks,
-        folder=shlex.quote(str(folder)),
+        logs=shlex.quote(str(folder).replace("%", "%%")),
         options=shlex.join([f"--job-name={study.name}", f"--chdir={Path.cwd()}", *more]),
         run=f"{sweep} run {typed(asked.study)} {shlex.join([*overrides, *trust])} -o {typed(store)}",
         # Who submits a study trusts its code; parts are written on other hosts than the one that merges them.
         merge=f"{sweep} merge {shlex.join(trust if study.is_ours else ['--trust'])}",
         store=typed(store),
-    )
+        parts=typed(f"{store}.part-*-of-{tasks}"),
+    ).encode(errors="surrogateescape")  # names of files need not be UTF-8
     file = folder / "submit.sh"
     try:
-        if file.exists() and file.read_text() != script:
+        if file.exists() and file.read_bytes() != script:
             raise linksweep.SweepError("is there already, and another one; submit it with sh, or remove it", str(file))
         folder.mkdir(parents=True, exist_ok=True)
-        file.write_text(script)
+        file.write_bytes(script)
         click.echo(f"wrote {file}" + ("" if go else f"; submit it with: sh {typed(file)}"), err=True)
         if go:
             subprocess.run(["sh", str(file)], check=True)

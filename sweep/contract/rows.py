@@ -24,8 +24,11 @@ FEWEST_SAMPLES = 5
 # Up to here a float holds every integer exactly.
 EXACT_INT = 2**53
 
-# What is in place of a missing integer or time.
+# What is in place of a missing time; of a missing integer too, unless a value is like it.
 MISSING_INT = int(np.iinfo(np.int64).min)
+
+# What is in place of a missing integer in large arrays, whose values are not looked through: a number without meaning.
+MISSING_LARGE_INT = MISSING_INT + 3**39
 
 # The end of the name of the field of a row, or of a variable, that has the length of an array.
 LENGTH = "_length"
@@ -323,8 +326,8 @@ REFERENCE = np.dtype("V16")
 
 
 def absent(dtype: np.dtype[Any]) -> float:
-    """Return what an array of numbers has where they are missing."""
-    return np.nan if dtype.kind == "f" else MISSING_INT
+    """Return what a large array of numbers has where they are missing."""
+    return np.nan if dtype.kind == "f" else MISSING_LARGE_INT
 
 
 def is_large(shape: Sequence[int]) -> bool:

@@ -329,12 +329,13 @@ def _of_objects(array: NDArray[Any]) -> tuple[Type, NDArray[Any]]:
         return ("float", array.astype("f8")) if len(types) > 1 else ("int", array.astype("i8"))
     (kind,) = types
     if kind == "text":
-        for text in elements:
+        texts = [str.__str__(element) for element in elements]  # members of an enumeration have another str()
+        for text in texts:
             try:
                 text.encode()
             except UnicodeEncodeError as error:
                 raise ResultError(f"is {text!a}, which has a lone surrogate: no file can hold it") from error
-        return "text", array
+        return "text", np.array(texts, dtype=object).reshape(array.shape)
     if kind == "datetime":
         return "datetime", np.array([_time(element) for element in elements], dtype="M8[ns]").reshape(array.shape)
     return ("bool", array.astype(bool)) if kind == "bool" else ("float", array.astype("f8"))

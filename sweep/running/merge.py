@@ -120,7 +120,7 @@ def _sources(places: Sequence[Where], trust: bool) -> list[_Source]:
     """Return what is there of the stores, parts in their order."""
     sources: list[_Source] = []
     studies: dict[tuple[Any, ...], tuple[Study, Layout | None]] = {}
-    for location in map(located, places):
+    for location in (located(one) for place in places for one in Part.places(place)):
         opened = store_at(location)
         if (runs := holder(location)) is not None:
             if opened is None or PART not in opened.attributes:
@@ -142,7 +142,10 @@ def _sources(places: Sequence[Where], trust: bool) -> list[_Source]:
         keys = tuple(ledger.rows)
         sources.append(_Source(location, kept, replace(study, part=part), layout, ledger.dtype, keys, ledger.failures))
     if not sources:
-        raise SweepError("no store there; name those to merge, as in S.part-*", ", ".join(map(str, places)))
+        raise SweepError(
+            "no store there; name those to merge, as in S.part-*",
+            f"{places[0]}{f' and {len(places) - 1:,} more' if places[1:] else ''}",
+        )
     # Of stores that are no parts first one whose experiment has the parameters of all.
     return sorted(sources, key=lambda one: (one.study.part or Part(0, 0), -len(one.study.experiment.parameters)))
 

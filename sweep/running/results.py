@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.sweep.contract import FEWEST_SAMPLES, Array, Output, Parameter, Rows, Status, Sums, SweepError
-from linksweep.sweep.contract.rows import LENGTH, MISSING_INT, REFERENCE, Block, Reducer, ledger_key
+from linksweep.sweep.contract.rows import LENGTH, MISSING_INT, REFERENCE, Block, Reducer, absent, ledger_key
 from linksweep.sweep.formatting import ERRORS, RAGGED, TRUTH, described, short_meaning
 from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.grid import Grid
@@ -110,6 +110,8 @@ class Labelled:
 
         def plain(one: Variable) -> tuple[Any, ...]:
             data = one.data.to_xarray() if isinstance(one.data, Stored) else one.data
+            if data.dtype.kind in "OU" and FILL not in one.encoding:  # as a store has texts
+                data = data.astype(np.dtypes.StringDType())
             return one.dims, data, one.attrs, one.encoding
 
         data_vars, coords = ({n: plain(one) for n, one in part.items()} for part in (self.data_vars, self.coords))
@@ -120,7 +122,7 @@ def assemble(plan: Plan, accumulator: Accumulator, location: Location) -> Labell
     """Return the dataset of a plan from what its accumulator holds, as it is stored; large arrays are read from the
     store at the ``location`` as they are used.
 
-    A point has values when all its blocks are there; all others are missing (`typed_array`) with a ``status`` that says
+    A point has values when all its blocks are there; all others are missing (`missing_of`) with a ``status`` that says
     why.  Missing integers have the number that the encoding names as ``_FillValue``; `masked` has NaN in place of it.
     What points that are begun have so far is in variables of its own, which `with_running` puts in place.
     """
@@ -138,7 +140,7 @@ def assemble(plan: Plan, accumulator: Accumulator, location: Location) -> Labell
     for output in experiment.outputs:
         if output.name in study.axes:
             continue  # the coordinate of that name has these values already
-        shape, within = experiment.shape_of(output), None
+        shape, within, missing = experiment.shape_of(output), None, missing_of(results.get(output.name))
         if output.name in ragged and output.name in results:
             places = np.indices(shape)[output.dims.index(ragged[output.name])]
             within = places < results[output.name + LENGTH].reshape(-1, *[1] * len(shape))
@@ -146,13 +148,14 @@ def assemble(plan: Plan, accumulator: Accumulator, location: Location) -> Labell
             chunks = np.where(done[:, None], grid.with_repeats(accumulator.total)[output.name], np.zeros(1, REFERENCE))
             chunks = chunks.reshape(*grid.shape, -1)
             values: Any = Stored(location, chunks, (*grid.shape, *shape), large[output.name])
+            missing = absent(values.dtype)
         else:
-            values = typed_array(results.get(output.name), done, shape, within)
+            values = typed_array(results.get(output.name), done, shape, missing, within)
         variables[output.name] = _variable(grid, values, output)
         if output.name in results and results[output.name].dtype.kind == "b" and values.dtype.kind == "f":
             variables[output.name].attrs.update(TRUTH)
         if values.dtype.kind == "i" and (output.name in ragged or not done.all()):
-            variables[output.name].encoding[FILL] = MISSING_INT
+            variables[output.name].encoding[FILL] = missing
     if not experiment.deterministic:
         over = f", over all {experiment.outer_draw}s" if experiment.outer_draw else ""
         meaning = f"realisations done{over}"
@@ -206,22 +209,32 @@ def _so_far(plan: Plan, accumulator: Accumulator) -> dict[str, Variable]:
     return variables
 
 
+def missing_of(results: NDArray[Any] | None) -> Any:
+    """Return what is in place of missing results: NaT beside times, empty beside texts, NaN beside other results, but
+    beside integers the smallest one that is none of them, nor like one as a float: xarray compares it with floats.
+    """
+    if results is None or results.dtype.kind != "i":
+        return {"O": "", "M": np.datetime64("NaT", "ns")}.get("f" if results is None else results.dtype.kind, np.nan)
+    floats, fill = results.astype(float), MISSING_INT
+    while (floats == fill).any():
+        fill += 1024  # the step between floats of that size
+    return fill
+
+
 def typed_array(
     results: NDArray[Any] | None,
     done: NDArray[np.bool_],
     shape: tuple[int, ...],
+    missing: Any,
     within: NDArray[np.bool_] | None = None,
 ) -> NDArray[Any]:
     """Return an array (points, *shape) with the results (done points, *shape) at the points that are done, where they
-    are ``within`` their lengths.
-
-    Elsewhere floats are NaN, times NaT, texts empty, integers `MISSING_INT`; truth values become floats with NaN.
+    are ``within`` their lengths, and what stands for ``missing`` ones elsewhere; truth values become floats then.
     """
     if results is None:
         return np.full((len(done), *shape), np.nan)
     if done.all() and within is None:
         return np.array(results.reshape(len(done), *shape))
-    missing: Any = {"O": "", "M": np.datetime64("NaT", "ns"), "i": MISSING_INT}.get(results.dtype.kind, np.nan)
     values = np.full((len(done), *shape), missing, dtype=float if results.dtype.kind == "b" else results.dtype)
     values[done] = results if within is None else np.where(within, results, missing)
     return values
@@ -232,8 +245,11 @@ def masked(dataset: Labelled) -> Labelled:
     of points that are not done.
     """
     dataset = finished(dataset)
-    gaps = {name: variable for name, variable in dataset.data_vars.items() if FILL in variable.encoding}
-    return dataset.assign({name: variable.copy(data=with_gaps(variable.values)) for name, variable in gaps.items()})
+    data_vars, coords = (
+        {n: v.copy(with_gaps(v.values, v.encoding[FILL])) if FILL in v.encoding else v for n, v in some.items()}
+        for some in (dataset.data_vars, dataset.coords)
+    )
+    return replace(dataset, data_vars=data_vars, coords=coords)
 
 
 def assemble_samples(plan: Plan, status: NDArray[np.int8], samples: Callable[[bytes], Array]) -> dict[str, Variable]:
@@ -325,6 +341,9 @@ def _coordinates(grid: Grid) -> dict[str, Variable]:
             ]
             values = np.array(values, dtype=object) if is_text else values
             coordinates[name] = Variable((dimension,), np.array(values), _attributes(parameter))
+            if kinds == {int} and any(missing):  # which a float may not hold
+                fill = missing_of(whole := np.array([value or 0 for value in study.axes[name]]))
+                coordinates[name].data, coordinates[name].encoding[FILL] = np.where(missing, fill, whole), fill
     for dimension, (values, unit) in experiment.dimension_coordinates().items():
         about = described(unit, dimension.replace("_", " "))
         coordinates.setdefault(dimension, Variable((dimension,), np.asarray(values), about))

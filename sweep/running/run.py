@@ -32,7 +32,7 @@ from linksweep.sweep.running.progress import FIRST, FailureCount, MaxFailures, P
 from linksweep.sweep.running.results import Labelled, add_covariances, assemble, assemble_samples, code_variable, masked
 from linksweep.sweep.stores.ledger import Record
 from linksweep.sweep.stores.location import Where, locked, writing
-from linksweep.sweep.stores.store import BLOCKS, CODE, OpenStore, Store, create_store, replace_store, store_at
+from linksweep.sweep.stores.store import BLOCKS, CODE, OpenStore, Store, create_store, replace_store, seen, store_at
 from linksweep.sweep.studies.record import RECORD, as_recorded, provenance, recorded, recorded_study
 from linksweep.sweep.studies.study import PART, Study
 from linksweep.sweep.tables.columns import content_digest, rows_where
@@ -482,7 +482,7 @@ class Writer:
                 self.store.tidy()
         self._written = time.monotonic()
         self._writing += self._written - begun
-        return masked(dataset)
+        return masked(replace(dataset, attrs=seen(self.store.attributes)))
 
     def assembled(self, final: bool = False) -> Labelled:
         """Return the labelled dataset of everything taken so far."""

@@ -16,7 +16,7 @@ from hashlib import blake2b
 from typing import Annotated, Any, Literal, Self, TypeVar
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, Json, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
 from linksweep.sweep.contract import MOST_VALUES, REFERENCE
 
@@ -128,6 +128,16 @@ def _flat_enough(document: Any) -> Any:
     raise ValueError("it is nested too deeply")
 
 
+def _said(text: Any) -> Any:
+    """Return what JSON says; pydantic's own reader refuses names of files that are not UTF-8, as Python has them."""
+    try:
+        return json.loads(text)
+    except (TypeError, RecursionError) as error:
+        raise ValueError("it is no JSON, or nested too deeply") from error
+
+
+Kind = TypeVar("Kind")
+Json = Annotated[Kind, BeforeValidator(_said)]
 Model = TypeVar("Model", bound=BaseModel)
 Count = Annotated[int, Field(ge=0, lt=2**63)]
 Size = Annotated[int, Field(gt=0, lt=2**48)]

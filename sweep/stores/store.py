@@ -486,6 +486,11 @@ def readable_copy(location: Location) -> dict[str, Any] | None:
     return attributes if (attributes.get(FORMAT_OF), attributes[STORE]) == (FORMAT, manifest.store) else None
 
 
+def seen(attributes: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the attributes that results have: all but those by which a store knows its files."""
+    return {key: value for key, value in attributes.items() if key not in (CHUNKS, LEDGER_THEN, STORE, SEAL)}
+
+
 def copied(attributes: Mapping[str, Any]) -> dict[str, Any]:
     """Return the attributes that the ledger's copy has: all but those about one writing."""
     left_out = ("failures", "generation", BLOCKS, CHUNKS, LEDGER_THEN, SEAL, REVISION)
@@ -606,20 +611,23 @@ def decode(root: Mapping[str, Any], location: Location) -> "xr.Dataset":
             if any((np.abs(dataset[name].values) >= EXACT_INT).any() for name in gaps):
                 # Xarray has rounded them.
                 stored = xr.open_zarr(MemoryStore(files, read_only=True), chunks=None, mask_and_scale=False)
-                dataset = dataset.assign({n: dataset[n].copy(data=with_gaps(stored[n].values)) for n in gaps})
+                dataset = dataset.assign(
+                    {n: dataset[n].variable.copy(data=with_gaps(stored[n].values, stored[n].attrs[FILL])) for n in gaps}
+                )
     except Exception as error:
         # Of forged documents: each codec of Zarr raises its own.
         raise ValueError(" ".join(str(error).split()) or type(error).__name__) from error
-    for name in (CHUNKS, LEDGER_THEN, STORE):
-        dataset.attrs.pop(name, None)
+    dataset.attrs = seen(root["attributes"])
     # a store of an earlier version does not label the second points of covariances
     axes = {d: d.removesuffix("_other") for d in map(str, dataset.dims) if d not in dataset.coords}
     return dataset.assign_coords({d: (d, dataset[a].values) for d, a in axes.items() if a in dataset.coords})
 
 
-def with_gaps(whole: NDArray[np.int64]) -> NDArray[Any]:
-    """Return integers with NaN in place of missing ones: floats, or objects where a float would round one."""
-    missing = whole == MISSING_INT
+def with_gaps(whole: NDArray[np.int64], fill: int) -> NDArray[Any]:
+    """Return integers with NaN in place of missing ones, which are ``fill``: floats, or objects where a float would
+    round one.
+    """
+    missing = whole == fill
     floats = np.where(missing, np.nan, whole)
     return np.where(missing, np.nan, whole.astype(object)) if (np.abs(floats) >= EXACT_INT).any() else floats
 

@@ -642,6 +642,17 @@ class Part:
         match = re.search(r"\.part-([1-9]\d{0,5})-of-([1-9]\d{0,5})$", str(place))
         return cls(int(match[2]), int(match[1])) if match else None
 
+    @classmethod
+    def places(cls, name: object) -> list[str]:
+        """Return the places of all parts that ``STORE.part-*-of-N`` names; another name itself.
+
+        >>> Part.places("s.zarr.part-*-of-2")
+        ['s.zarr.part-1-of-2', 's.zarr.part-2-of-2']
+        """
+        match = re.fullmatch(r"(?s)(.*)\.part-\*-of-([1-9]\d{0,5})", str(name))
+        total = int(match[2]) if match else 0
+        return [cls(total, k + 1).place(match[1]) for k in range(total)] if match else [str(name)]
+
 
 def in_ranges(numbers: Iterable[int]) -> str:
     """Return whole numbers in ascending order, neighbours joined.

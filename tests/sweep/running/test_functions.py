@@ -6,6 +6,8 @@ import os
 import re
 import subprocess
 from contextlib import closing
+from datetime import datetime
+from enum import Enum
 from pathlib import Path
 
 import numpy as np
@@ -56,6 +58,43 @@ def test_statistics_extend_to_the_bits_of_one_run(tmp_path):
     assert short.wait_max <= whole.wait_max == whole.wait_samples.max()
     assert whole.long_count.item() == (whole.wait_samples > 3.0).sum()
     assert "wait_max_mc_error" not in whole
+
+
+Word = Enum("Word", {"LONG": "a word", "NONE": ""}, type=str)
+FIRST = st.integers(-(2**63), -(2**63) + 3000)
+OF_A_KIND = {
+    "whole": st.one_of(FIRST, st.integers(-3, 3), st.integers(-(2**63), 2**63 - 1)),
+    "wholes": st.lists(FIRST, min_size=2, max_size=2),
+    "ragged": st.lists(FIRST, max_size=3),
+    "text": st.one_of(st.text(st.characters(codec="utf-8"), max_size=3), st.sampled_from(Word)),
+    "texts": st.lists(st.sampled_from(Word), min_size=2, max_size=2),
+    "time": st.datetimes(datetime(1700, 1, 1), datetime(2200, 1, 1)),
+    "truth": st.booleans(),
+    "number": st.floats(allow_nan=False, allow_infinity=False),
+}
+
+
+@settings(max_examples=examples(15))
+@given(table=st.lists(st.none() | st.fixed_dictionaries(OF_A_KIND), min_size=1, max_size=4).filter(any))
+def test_a_run_returns_what_its_store_has_and_no_value_is_taken_for_a_missing_one(tmp_path_factory, table):
+    @experiment(outputs=[*map(Output, OF_A_KIND.keys() - {"ragged"}), Output("ragged", ragged=True)])
+    def row(k: int, name: str):
+        return table[k] or 1 / 0
+
+    store = tmp_path_factory.mktemp("same") / "s.zarr"
+    axes = {"k": range(len(table)), "name": ["é"]}
+    made = run(row, store, axes=axes, max_failures="100%").squeeze("name")
+    whole, plain = linksweep.open(store).squeeze("name"), xr.open_zarr(store).load().squeeze("name")
+    xr.testing.assert_identical(made, whole)
+    assert {n: v.dtype for n, v in made.variables.items()} == {n: v.dtype for n, v in whole.variables.items()}
+    for k, wanted in enumerate(table):
+        for name, value in (wanted or {}).items():
+            own = (..., slice(len(value))) if name == "ragged" else ...
+            exact = np.datetime64(value, "ns").item() if name == "time" else value
+            assert whole[name][k].values[own].tolist() == exact
+            assert "text" in name or plain[name][k].notnull().values[own].all()
+        if wanted:
+            assert whole.ragged[k, len(wanted["ragged"]) :].isnull().all()
 
 
 @pytest.mark.parametrize("sign", [1, -1])
