@@ -129,7 +129,9 @@ def label_of(value: Any) -> str:
 
 def digest_of(content: str | bytes) -> str:
     """Return a short digest of a text or of the content of a file."""
-    return hashlib.sha256(content.encode() if isinstance(content, str) else content).hexdigest()[:12]
+    if isinstance(content, str):
+        content = content.encode(errors="surrogateescape")  # names of files need not be UTF-8
+    return hashlib.sha256(content).hexdigest()[:12]
 
 
 @cache  # a process computes with what it has imported, whatever is installed meanwhile

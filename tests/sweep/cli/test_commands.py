@@ -70,16 +70,17 @@ def test_commands_that_are_printed_and_written_can_be_given(name, tmp_path):
 
 @pytest.mark.parametrize("name", ["run_%j.zarr", "caf\udce9.zarr"])
 def test_a_script_for_slurm_has_names_as_they_are_and_the_parts_as_a_pattern(name, tmp_path):
-    (tmp_path / "half.py").write_text("def half(a: int):\n    return a / 2\n")
+    (folder := tmp_path / f"in {name}").mkdir()
+    (folder / "half.py").write_text("def half(a: int):\n    return a / 2\n")
     asked = ("half.py:half", "--axis", "a=1,2", "-o", name)
-    assert run_sweep("submit", *asked, "--slurm", 100_000, cwd=tmp_path)[0] == 0
-    script = (tmp_path / f"{name}.slurm" / "submit.sh").read_bytes()
+    assert run_sweep("submit", *asked, "--slurm", 100_000, cwd=folder)[0] == 0
+    script = (folder / f"{name}.slurm" / "submit.sh").read_bytes()
     assert script.count(os.fsencode(f"/{name.replace('%', '%%')}.slurm")) == 2
     assert len(script) < 3000
     for part in ("1/2", "2/2"):
-        assert run_sweep("run", *asked, "--part", part, cwd=tmp_path)[0] == 0
-    assert run_sweep("merge", f"{name}.part-*-of-2", "-o", name, cwd=tmp_path)[0] == 0
-    assert linksweep.open(tmp_path / name).half.values.tolist() == [0.5, 1.0]
+        assert run_sweep("run", *asked, "--part", part, cwd=folder)[0] == 0
+    assert run_sweep("merge", f"{name}.part-*-of-2", "-o", name, cwd=folder)[0] == 0
+    assert linksweep.open(folder / name).half.values.tolist() == [0.5, 1.0]
 
 
 def test_the_help_has_every_command_in_one_section_with_a_whole_sentence_and_each_has_its_own_with_an_example(sweep):
