@@ -95,6 +95,9 @@ _BEGAN = time.time()
 # Our package, never looked for beside a user's file.
 OURS = "linksweep"
 
+# Begins the parts with what names a value in its module, which counts where the value differs from process to process.
+STATEMENT = "statement "
+
 # Stands in place of a module in the reference of a function that only this session has.
 SESSION = "session"
 
@@ -192,17 +195,21 @@ class Reach:
         self._changes: list[tuple[str, set[str]]] = []
         self.places: dict[str, str] = {}
         self.unnoticed: dict[str, str] = {}
+        self.statements: dict[str, str] = {}
         self.modules: dict[str, ModuleType] = {}
         # Closures of one function, or functions that a decorator has made, have one label.
         self._texts: dict[str, set[str]] = defaultdict(set)
         # Whose form is made, and whether any of it is left out.
         self._value, self._is_partial = "", False
+        # The user's name through which what is followed is reached.
+        self._through = ""
         # The objects are kept beside their ids, so that no other object gets the same id meanwhile.
         self._met: dict[Any, Any] = {}
         self._todo: list[tuple[Any, ...]] = []
         for name, value in roots.items():
             self._keep(f"value {name}", self._refer(name, value, {}))
-        for add, *what in self._todo:  # which grows meanwhile
+        for through, add, *what in self._todo:  # which grows meanwhile
+            self._through = through
             add(*what)
         self.unnoticed.pop("", None)  # of wrappers that libraries made
         texts = {label: ", ".join(sorted(some)) for label, some in self._texts.items()}
@@ -216,7 +223,7 @@ class Reach:
     def _follow(self, add: Callable[..., None], value: Any, *more: Any) -> None:
         if (key := (add.__name__, id(value), *more[:1])) not in self._met:
             self._met[key] = value
-            self._todo.append((add, value, *more))
+            self._todo.append((self._through, add, value, *more))
 
     def _keep(self, label: str, text: str) -> None:
         if text:
@@ -227,6 +234,7 @@ class Reach:
 
         Without names, what the value begins with is in the code of what has it.
         """
+        self._through = label if names else self._through
         if (code := self._code(value)) is None:
             self._follow(self._noted, value, label, names)
         return code or ""
@@ -238,6 +246,8 @@ class Reach:
         statements = _index(tree_of(around.get("__file__") or "", around))[name] if is_bound else ()
         if statements:
             self.places[f"value {label}"] = f"{around['__file__']}, line {statements[0].lineno}"
+            text = without_package("".join(map(unparsed, statements)))
+            self.statements[without_package(f"{STATEMENT}{label}")] = digest_of(text)
         self._value, self._is_partial = label, name in self._changed
         text = "" if self._is_partial else self._form(value, {})
         begins = self._text(statements, around) if self._is_partial else ""
@@ -386,7 +396,7 @@ class Reach:
                 changes = [name for node in nodes for name in _changes(node)]
                 self._changes.append((function.__name__, {home_of(one, names, names.get(one))[0] for one in changes}))
         elif not function.__name__.startswith("__"):  # what dataclasses make is in their class already
-            self.unnoticed[label] = "function without source"
+            self.unnoticed[self._through or label] = "function without source"
             nodes = [ast.Name(name) for name in sorted(_names_in(code))]  # what it reaches counts
         text += self._text(nodes, names, function)
         self._keep(f"function {label}", text)
@@ -995,6 +1005,7 @@ def _reach(value: Any) -> Reach:
     _places.update(reached.places)
     for name, kind in reached.unnoticed.items():
         _warn(f"changes of {name}, a {kind}, are not noticed")
+    reached.parts.update(reached.statements)
     reached.parts.update({f"file {name}": digest_of(file.read_bytes()) for name, file in _read_by(value).items()})
     return reached
 
@@ -1027,12 +1038,14 @@ def new_process(code: str, **options: Any) -> "subprocess.Popen[bytes]":
 
 def as_recorded_where_unsteady(now: Mapping[str, str], old: Mapping[str, str], reference: str) -> Mapping[str, str]:
     """Return the code of a reference as it is now, but with values that differ from process to process, such as a time,
-    as an ``old`` version of it has them.  Where only values differ, two new processes show which these are.
+    as an ``old`` version of it has them if they are made by the same statements.  Where only values differ, two new
+    processes show which these are.
     """
-    changed = [name for name in {*old, *now} if old.get(name) != now.get(name)]
+    changed = [name for name in _differing(old, now) if not name.startswith(STATEMENT)]
     if not changed or reference.startswith(f"{SESSION}:") or not all(name.startswith("value ") for name in changed):
         return now
-    return {**now, **{name: old[name] for name in _unsteady(reference) if name in old}}
+    edited = {name.replace(STATEMENT, "value ", 1) for name in _differing(old, now) - {*changed}}
+    return {**now, **{name: old[name] for name in {*_unsteady(reference)} - edited if name in old}}
 
 
 @cache
@@ -1041,14 +1054,18 @@ def _unsteady(reference: str) -> list[str]:
     processes = [new_process(code, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) for _ in range(2)]
     one, other = (json.loads((each.communicate()[0].splitlines() or [b"{}"])[-1]) for each in processes)
     for name in (differing := [name for name in one if name in other and one[name] != other[name]]):
-        _warn(f"{name} differs from process to process; its changes are not noticed")
+        _warn(f"{name} differs from process to process; it counts by the statements that name it in its module")
     return differing
+
+
+def _differing(old: Mapping[str, str], new: Mapping[str, str]) -> set[str]:
+    return {name for name in {*old, *new} if old.get(name) != new.get(name)}
 
 
 def code_differences(old: Mapping[str, str], new: Mapping[str, str], was: str, now: str) -> list[str]:
     """Return a phrase for each difference between two versions of code; ``was`` and ``now`` say where they are."""
     phrases = []
-    for name in sorted(name for name in {*old, *new} if old.get(name) != new.get(name)):
+    for name in sorted(name for name in _differing(old, new) if not name.startswith(STATEMENT)):
         before, after = old.get(name, ""), new.get(name, "")
         how = "has changed" if DIGEST.search(f"{before} {after}") else f"is {before} {was}, {after} {now}"
         if not before or not after:

@@ -289,11 +289,12 @@ from pathlib import Path
 import linksweep
 
 L = threading.Lock()
+T = [eval("lambda x: x", {"__name__": None})]
 
 @linksweep.experiment(reads=["READS"])
 def f(x: float):
     with L:
-        return x * float((Path(__file__).parent / "k.csv").read_text())
+        return T[0](x) * float((Path(__file__).parent / "k.csv").read_text())
 """
 
 
@@ -307,7 +308,8 @@ def test_what_has_no_canonical_form_is_named_once_and_declared_files_count(tmp_p
     (tmp_path / "m.py").write_text(DECLARED.replace("READS", "k.csv"))
     for axis in ("x=1", "x=1,2"):
         code, _, err = sweep("run", "m.py:f", "--axis", axis, "-o", "s.zarr", cwd=tmp_path)
-        assert (code, "changes of m.L, a _thread.lock, are not noticed" in err) == (0, axis == "x=1"), err
+        for name in ("m.L, a _thread.lock", "m.T, a function without source"):
+            assert (code, f"changes of {name}, are not noticed" in err) == (0, axis == "x=1"), err
     (tmp_path / "k.csv").write_text("4")
     code, _, err = sweep("run", "m.py:f", "--axis", "x=1,2,3", "-o", "s.zarr", cwd=tmp_path)
     assert (code, "file k.csv has changed" in err) == (2, True)
@@ -316,8 +318,9 @@ def test_what_has_no_canonical_form_is_named_once_and_declared_files_count(tmp_p
 @pytest.mark.slow
 def test_a_value_that_each_process_has_otherwise_is_named_and_refuses_nothing(tmp_path, start_sweep):
     text = "import time\nSTART, K = time.time_ns(), 2.0\ndef f(x: float):\n    return K * x if START else 0.0\n"
-    for axis, constant, expected in (("x=1", "2.0", 0), ("x=1,2", "2.0", 0), ("x=1,2", "3.0", 2)):
-        (tmp_path / "m.py").write_text(text.replace("2.0", constant))
+    runs = [("x=1", "2.0", "2.0", 0), ("x=1,2", "2.0", "2.0", 0), ("x=1,2", "time_ns()", "time_ns() + 1", 2)]
+    for axis, old, new, expected in [*runs, ("x=1,2", "2.0", "3.0", 2)]:
+        (tmp_path / "m.py").write_text(text.replace(old, new))
         process = start_sweep("run", "m.py:f", "--axis", axis, "-o", "s.zarr", cwd=tmp_path)
         err = process.communicate(timeout=60)[1]
         assert process.returncode == expected, err
