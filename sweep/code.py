@@ -242,8 +242,8 @@ class Reach:
     def _noted(self, value: Any, label: str, names: Names | None) -> None:
         """Add a value; what is left out of it counts by the statements that name it in its module."""
         name, around = label.partition(" of ")[0].rpartition(".")[2], names or {}
-        is_bound = " of " not in label  # there, and not in a function
-        statements = _index(tree_of(around.get("__file__") or "", around))[name] if is_bound else ()
+        index = _index(tree_of(around.get("__file__") or "", around))
+        statements = index[name] if " of " not in label else ()  # nothing there binds what is in a closure
         if statements:
             self.places[f"value {label}"] = f"{around['__file__']}, line {statements[0].lineno}"
             text = without_package("".join(map(unparsed, statements)))
@@ -352,12 +352,9 @@ class Reach:
             self._is_users(package)
         if file.endswith(EXTENSIONS):
             self._keep(f"file {Path(file).name}", digest_of(Path(file).read_bytes()))
-        # What only a script does, or a type checker reads, is not executed.
-        ifs = [one for one in tree_of(file, vars(module)).body if isinstance(one, ast.If)]
-        skipped = [one for one in ifs if re.search("__name__|TYPE_CHECKING", unparsed(one.test))]
-        body = [one for one in tree_of(file, vars(module)).body if one not in skipped]
-        self._imports([one for statement in body for one in _at_import(statement)], vars(module))
-        acts = [one for one in body if _is_act(one, vars(module))]
+        tree = tree_of(file, vars(module))
+        self._imports(_at_import(tree), vars(module))
+        acts = [one for one in tree.body if _is_act(one, vars(module))]
         for one in (one for one in acts if isinstance(one, DEFINITIONS)):  # so that a message can name it
             self._code(vars(module)[one.name])
         if acts:
@@ -632,13 +629,16 @@ def _is_act(statement: ast.stmt, names: Names) -> bool:
 
 
 def _at_import(node: ast.AST) -> Iterator[ast.AST]:
-    """Yield what is executed of a statement while its module is imported: all but the bodies of functions."""
-    yield node
-    now = (
-        [*getattr(node, "decorator_list", ()), node.args] if isinstance(node, Function) else ast.iter_child_nodes(node)
-    )
-    for one in now:
-        yield from _at_import(one)
+    """Yield what is executed of some code while its module is imported: not the bodies of functions, and not what only
+    a script does or a type checker reads.
+    """
+    if not isinstance(node, ast.If) or not re.search("__name__|TYPE_CHECKING", unparsed(node.test)):
+        yield node
+        runs = ast.iter_child_nodes(node)
+        if isinstance(node, Function):
+            runs = chain(getattr(node, "decorator_list", ()), [node.args])
+        for one in runs:
+            yield from _at_import(one)
 
 
 def _is_given(node: Any, names: Names) -> bool:
