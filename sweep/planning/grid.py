@@ -96,13 +96,12 @@ class Grid:
 
     def parameters(self) -> Iterator[tuple[int, dict[str, Any]]]:
         """Yield index and parameters of the points that are not excluded, in C order; repeated ones only once."""
-        has_clauses, first = bool(self.study.excluded or self.study.when), self._first
+        first = self._first
         for start in range(0, len(self), AT_ONCE):
             some = np.arange(start, min(start + AT_ONCE, len(self)))
             for index, raw in zip(some.tolist(), self._raw(some), strict=True):
-                if first is not None and first[index] != index:
-                    continue
-                if not (has_clauses and self.excludes(raw)) and index not in self._left_out:
+                is_first = first is None or first[index] == index
+                if is_first and index not in self._left_out and not self.excludes(raw):
                     yield index, self._resolved(raw)
 
     def indices(self) -> NDArray[np.intp]:

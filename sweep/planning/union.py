@@ -87,8 +87,8 @@ def united(stored: Study, asked: Study, in_ledger: Collection[bytes] = (), *, is
             )
     if gone := [name for name in stored.axes if name not in defaults]:
         raise SweepError(f"the axis {gone[0]} of the store is no parameter any more; --only leaves its points out")
-    alike = {*stored.axes, *asked.axes, *(name for name, (somewhere, _) in stored.effects().items() if not somewhere)}
-    changed = [n for n in defaults if n not in alike and sorted_json(was[n]) != sorted_json(now[n])]
+    axes = {*stored.axes, *asked.axes}
+    changed = [name for name in defaults if name not in axes and sorted_json(was[name]) != sorted_json(now[name])]
     tables = [one.points for one in (asked, stored) if one.points is not None]
     excluded = tuple(clause for clause in asked.excluded if clause in stored.excluded)
     kept.pop(POINT, None)  # with rows that repeat others, and those that are not there yet
@@ -244,17 +244,14 @@ def _experiment(stored: Study, asked: Study) -> Experiment:
 
 
 def _sampling(stored: Study, asked: Study) -> Sampling:
-    """Return the sampling of the store where it has all realisations that are asked for, else what is asked; where one
-    has a precision, what is enough for both.
-    """
+    """Return the sampling that is enough for a store and for what is asked, that of the store where this is."""
     old, new = stored.sampling, asked.sampling
-    if old.precision is None and new.precision is None:
-        return old if old.n_sim >= new.n_sim and old.n_cat >= new.n_cat else new
-    n_sim, n_cat = max(old.n_sim, new.n_sim), max(old.n_cat, new.n_cat)
-    precision, most = zip(*((one.precision, one.most) for one in (old, new) if one.precision is not None), strict=True)
-    more = {"n_sim": n_sim, "n_cat": n_cat, "precision": min(precision), "max_n_sim": max(n_sim, *most)}
-    keys = attrgetter("n_sim", "n_cat", "precision", "most")
-    return next((one for one in (old, new) if keys(one) == tuple(more.values())), new.model_copy(update=more))
+    more: dict[str, Any] = {"n_sim": max(old.n_sim, new.n_sim), "n_cat": max(old.n_cat, new.n_cat)}
+    if precise := [one for one in (old, new) if one.precision is not None]:
+        more["precision"] = min(one.precision or 1.0 for one in precise)
+        more["max_n_sim"] = max(more["n_sim"], *(one.most for one in precise))
+    both, keys = new.model_copy(update=more), attrgetter("n_sim", "n_cat", "precision", "most")
+    return next((one for one in (old, new) if keys(one) == keys(both)), both)
 
 
 def _counts(

@@ -115,17 +115,11 @@ def reproduce(store: Where, at: str, *, trust: bool = False) -> Reproduction:
     """
     opened = OpenStore(store)
     study = study_of(opened, trust=trust)
-    place = place_of(study, at, str(store))
+    place, indices = place_of(study, at, str(store))
     with threadpool_limits(1):  # as everywhere, since the last bits depend on it
         result, failures = _alone(as_recorded(study, opened.attributes), place, _raising)
     for message in failures.values():
         raise ResultError(message)
-    axes = study.dimensions
-    values = {name: [place[axis] for axis in axes[name]] for name in axes}
-    indices = {
-        name: next(number for number, row in enumerate(rows) if not any(map(is_other, row, values[name])))
-        for name, rows in Grid(study).rows.items()
-    }
     stored = opened.dataset().isel(indices)
     status = Status(int(stored["status"]))
     differences = None
@@ -217,8 +211,8 @@ def _same(one: xr.Dataset | str, other: xr.Dataset | str, tolerance: float) -> b
     return all(_equal(one[name].values, other[name].values, tolerance) for name in other if name in one)
 
 
-def place_of(study: Study, at: str, where: str) -> dict[str, Any]:
-    """Return a point's parameters from ``NAME=VALUE,...``; raises SweepError that says what is wrong or missing."""
+def place_of(study: Study, at: str, where: str) -> tuple[dict[str, Any], dict[str, int]]:
+    """Return a point's parameters and place from ``NAME=VALUE,...``; raises SweepError that says what is wrong."""
     problems: list[str] = []
     wanted: dict[str, Any] = {}
     for name, text in parse_places([at] if at.strip() else []).items():
@@ -227,17 +221,13 @@ def place_of(study: Study, at: str, where: str) -> dict[str, Any]:
         except ValueError as error:
             problems.append(f"--at {error}")
     grid, unreadable = Grid(study), bool(problems)
-    parameters = study.experiment.defaults() | dict(study.fixed)
+    parameters, indices = study.experiment.defaults() | dict(study.fixed), dict[str, int]()
     for dimension, rows in grid.rows.items():
-        named = [
-            dict(zip(grid.dimensions[dimension], row, strict=True))
-            for row in {(row, *map(type, row)): row for row in rows}.values()
-        ]
-        fitting = [
-            one for one in named if not any(is_other(wanted.get(axis, value), value) for axis, value in one.items())
-        ]
-        if len(fitting) == 1:
-            parameters |= fitting[0]
+        named = [dict(zip(grid.dimensions[dimension], row, strict=True)) for row in rows]
+        fitting = [k for k, one in enumerate(named) if not any(is_other(wanted.get(n, v), v) for n, v in one.items())]
+        if len({(rows[k], *map(type, rows[k])) for k in fitting}) == 1:
+            indices[dimension] = fitting[0]
+            parameters |= named[fitting[0]]
         elif not unreadable and fitting:
             values = study.axes.get(dimension) or range(len(rows))
             problems.append(f"--at: {dimension} needs a value, one of {first_of(list(values), MOST_NAMED)}")
@@ -247,7 +237,7 @@ def place_of(study: Study, at: str, where: str) -> dict[str, Any]:
         raise SweepError(problems, where)
     if grid.excludes(parameters):
         raise SweepError(f"--at {shown(at)}: the study excludes this point", where)
-    return parameters
+    return parameters, indices
 
 
 def _on_axis(study: Study, name: str, text: str) -> dict[str, Any]:

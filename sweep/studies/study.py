@@ -788,33 +788,30 @@ class Study:
         """Whether the ledger holds realisations: the study or the experiment asks for them."""
         return self.sampling.keep_samples or self.experiment.keeps_samples
 
-    def effects(self) -> dict[str, tuple[bool, bool]]:
-        """Return whether each conditional parameter has an effect somewhere, and whether everywhere, by all values."""
+    @property
+    def partial(self) -> list[str]:
+        """The parameters that have no effect at some points."""
         constants = self.experiment.defaults() | dict(self.fixed)
         values = {name: (value,) for name, value in constants.items()} | dict(self.axes)
-        known: dict[str, tuple[bool, bool]] = {}
+        partial: list[str] = []
         for name, conditions in self.when.items():
-            held = []
-            for one in conditions:
-                somewhere, everywhere = known.get(one.name, (True, True))
-                there = (*(values.get(one.name, ()) if somewhere else ()), *(() if everywhere else (None,)))
-                held.append({one.holds(value) for value in there})
-            known[name] = all(True in some for some in held), all(False not in some for some in held)
-        return known
+            there = [(one, (*values.get(one.name, ()), *[None] * (one.name in partial))) for one in conditions]
+            if not all(one.holds(value) for one, some in there for value in some):
+                partial.append(name)
+        return partial
 
     @property
     def varying(self) -> list[str]:
         """The axes, and constants that some points are without."""
-        known = self.effects().items()
-        return [*self.axes, *(name for name, (_, everywhere) in known if not everywhere and name not in self.axes)]
+        return list(dict.fromkeys([*self.axes, *self.partial]))
 
     def completed(self) -> "Study":
         """Return the study with None at the end of axes that have no effect at some points, for the one point there is
         without them; not of those that share a dimension with others.
         """
-        partial = [name for name, (_, everywhere) in self.effects().items() if not everywhere and name in self.alone]
-        lacking = [name for name in partial if self.axes[name] and None not in self.axes[name]]
-        return replace(self, axes={**self.axes, **{name: (*self.axes[name], None) for name in lacking}})
+        lacking = [name for name in self.partial if self.axes.get(name) and None not in self.axes[name]]
+        more = {name: (*self.axes[name], None) for name in lacking if name in self.alone}
+        return replace(self, axes={**self.axes, **more})
 
     @property
     def alone(self) -> list[str]:
