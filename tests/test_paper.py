@@ -55,5 +55,4 @@ def test_every_study_agrees_with_its_prediction(paper):
         dataset = linksweep.open(paper[0] / f"{name}.zarr")
         error = dataset["sigma_spin_mc_error"].where(dataset["sigma_spin_predicted"] > 0)
         off = np.abs(dataset["sigma_spin"] - dataset["sigma_spin_predicted"]) / error
-        # 4.5 of the errors; for the radio stars, whose catalogues differ much, sigma/sqrt(2 n) is a little small
-        assert off.max() < (6 if name == "radio-stars" else 4.5), name
+        assert off.max() < 4.5, name
