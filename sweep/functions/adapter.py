@@ -151,19 +151,17 @@ def _read_signature(function: Callable[..., Any], problems: list[str]) -> "Funct
     if (first := next(iter(arguments), "")) in ("self", "cls") and "." in getattr(function, "__qualname__", ""):
         problems.append(f"is a method and takes {first}; give the method of an object, thing.{name}")
         arguments = {}
-    parameters, defaults, rng = [], [], RNG in arguments
+    parameters, rng = [], RNG in arguments
     for argument in arguments.values():
         if argument.kind not in (argument.POSITIONAL_OR_KEYWORD, argument.KEYWORD_ONLY):
             problems.append(f"{argument} is {argument.kind.description}, and parameters are given by name; {wrap}")
         elif argument.name != RNG and not (rng and argument.name == N_SIM):
             try:
-                parameters.append(parameter := _parameter(argument))
-                if argument.default is not argument.empty and not parameter.optional:
-                    defaults.append(argument.name)
+                parameters.append(_parameter(argument))
             except ValueError as error:
                 problems.append(str(error))
     made = _undeclared(name, tuple(parameters), (), rng)
-    return replace(made, call=function, takes_n_sim=rng and N_SIM in arguments, with_default=tuple(defaults))
+    return replace(made, call=function, takes_n_sim=rng and N_SIM in arguments)
 
 
 def _parameter(argument: inspect.Parameter) -> Parameter:
@@ -338,9 +336,9 @@ class FunctionExperiment(Experiment):
     """A plain function as an experiment.
 
     ``declared`` are its outputs as it declares them; ``layout`` describes its results, None before the first.  ``rng``
-    says whether it takes a generator; without one it is evaluated once at each point.  ``with_default`` are arguments
-    that are left out where a point has none.  ``keeps_all`` says whether all realisations are kept.  An experiment that
-    is made from the record in a store has no function to ``call`` and computes nothing.
+    says whether it takes a generator; without one it is evaluated once at each point.  ``keeps_all`` says whether all
+    realisations are kept.  An experiment that is made from the record in a store has no function to ``call`` and
+    computes nothing.
     """
 
     call: Callable[..., Any] | None = None
@@ -350,7 +348,6 @@ class FunctionExperiment(Experiment):
     tolerance: float = ROUNDING
     repeatable: bool = False
     takes_n_sim: bool = False
-    with_default: tuple[str, ...] = ()
     layout: results.Layout | None = None
     keeps_all: bool = False
 
@@ -420,7 +417,8 @@ class FunctionExperiment(Experiment):
     def _arguments(self, point: Point) -> dict[str, Any]:
         """Return what the function gets at a point: objects in place of labels, and nothing where it has a default."""
         values = {name: value.value if isinstance(value, Named) else value for name, value in point.items()}
-        return {name: value for name, value in values.items() if value is not None or name not in self.with_default}
+        optional = {one.name for one in self.parameters if one.optional or one.required}
+        return {name: value for name, value in values.items() if value is not None or name in optional}
 
     def learned(self, outcomes: Mapping[int, Outcome]) -> "tuple[FunctionExperiment, dict[int, Any], dict[int, str]]":
         """Return the experiment with the layout that the first result has, with floats where any result has; the fields
