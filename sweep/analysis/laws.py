@@ -18,12 +18,12 @@ import numpy as np
 import xarray as xr
 from numpy.linalg import LinAlgError
 from numpy.typing import NDArray
-from scipy.special import chdtrc, exprel, fdtrc  # scipy.stats takes longer to import than a small study to run
+from scipy.special import exprel  # scipy.stats takes longer to import than a small study to run
 
 from linksweep.sweep.analysis import quantity
 from linksweep.sweep.analysis.tables import STEP, derived
 from linksweep.sweep.contract import FEW, SweepError, factor_between, shown, unit_problem
-from linksweep.sweep.contract.rows import FEWEST_SAMPLES, LENGTH, Array, Status, small_sample_factor
+from linksweep.sweep.contract.rows import FEWEST_SAMPLES, LENGTH, Array, Status, p_value, small_sample_factor
 from linksweep.sweep.formatting import LOGARITHMIC_UNITS, RAGGED, described, plain, units_of, with_error, with_unit
 from linksweep.sweep.studies.record import outer_draw_of
 from linksweep.sweep.studies.study import POINT
@@ -781,17 +781,6 @@ def levelling(x: Array, y: Array, errors: Array, fall: float, samples: float = n
     for name, *both in zip(("plateau", "rate", "end_fall", "limit"), values.tolist(), sigmas.tolist(), strict=True):
         law[name], law[f"{name}_error"] = both
     return law | {"chi2": chi2, "dof": dof}
-
-
-def p_value(chi2: float, dof: int, samples: float = np.inf) -> float:
-    """Return the probability of a chi2 at least as large if the law holds; NaN without degrees of freedom.
-
-    With a covariance estimated from ``samples``, chi2 is Hotelling's T^2, which has an F distribution.
-    """
-    if not np.isfinite(samples):
-        return float(chdtrc(dof, chi2)) if dof > 0 else np.nan
-    left = samples - dof
-    return float(fdtrc(dof, left, chi2 * left / (dof * (samples - 1.0)))) if dof > 0 < left else np.nan
 
 
 def _relative_covariance(y: Array, errors: Array) -> tuple[Array, bool]:

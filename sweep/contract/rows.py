@@ -138,6 +138,19 @@ def small_sample_factor(samples: ArrayLike) -> Array:
     return np.where(count >= FEWEST_SAMPLES, factor, np.nan)
 
 
+def p_value(chi2: float, dof: int, samples: float = np.inf) -> float:
+    """Return the probability of a chi2 at least as large by chance; NaN without degrees of freedom.
+
+    With a covariance estimated from ``samples``, chi2 is Hotelling's T^2, which has an F distribution.
+    """
+    from scipy.special import chdtrc, fdtrc  # takes a tenth of a second, and most studies need neither
+
+    if np.isinf(samples):
+        return float(chdtrc(dof, chi2)) if dof > 0 else np.nan
+    left = samples - dof
+    return float(fdtrc(dof, left, chi2 * left / (dof * (samples - 1.0)))) if dof > 0 < left else np.nan
+
+
 # Bytes in a `ledger_key`.
 KEY_BYTES = 32
 

@@ -12,7 +12,6 @@ import numpy as np
 from astropy.table import Table
 from astropy.units import Unit
 from scipy.spatial.transform import Rotation
-from scipy.special import chdtrc
 from threadpoolctl import threadpool_limits
 
 from linksweep.core.frames import DEGREE, MAS, Array, position, triad
@@ -22,6 +21,7 @@ from linksweep.core.tie.astrometry import ALL_PAIRS, Astrometry, kinds, named_ro
 from linksweep.core.tie.noise import ESTIMATE, Noise, estimated, noises
 from linksweep.core.unknowns import PARAMETERS, Harmonics, Objects, SpinByBin, Unknowns, amplitudes, link_unknowns
 from linksweep.sweep.contract import SweepError
+from linksweep.sweep.contract.rows import p_value
 from linksweep.sweep.executing.executor import mapped
 from linksweep.sweep.executing.pools import NO_LIMITS, Limits, Resources
 from linksweep.sweep.result import require_free, stored_table, write_at_once
@@ -78,6 +78,7 @@ class Link:
     clip: str
     clipped: solving.Clipped
     covariances: dict[str, Array]
+    samples: dict[str, float]
     influence: solving.Influence | None
     discrepancy: Array | None
     count: Any
@@ -117,9 +118,10 @@ def solve_link(
             doubt, further = _misfit(setup, sources, result), list[str]()
             if any(ESTIMATE in sizes.values() for sizes in setup.jitter.values()):
                 setup, sources, result, noise, further = _with_noise(setup, how)
-            covariances, notes = _covariances(sources, result, errors, resamples, seed)
+            covariances, samples, notes = _covariances(sources, result, errors, resamples, seed)
             if noise is not None:
                 covariances = {"estimated": noise.covariance(result.solution)} | covariances
+                samples = {"estimated": np.inf} | samples
             squares = sources.discrepancies(result.solution.estimate) if per_source else None
             if isinstance(sources, solving.KeptSources):
                 effect = solving.influence(sources.sums, result.solution, unknowns, result.factors)
@@ -139,7 +141,9 @@ def solve_link(
             listed = ", ".join(f"{setup.names[places[k]]} ({100.0 * part[k]:.0f} %)" for k in large)
             notes.append(f"more than {100 * solving.LARGE_SHARE:.0f} % of the weight in {block}: {listed}")
     notes = [*([doubt.text] if doubt.text else []), *setup.notes, *further, *result.notes, *notes]
-    return Link(setup, str(how), result, covariances, effect, squares, sources.count, doubt, tuple(notes), noise)
+    return Link(
+        setup, str(how), result, covariances, samples, effect, squares, sources.count, doubt, tuple(notes), noise
+    )
 
 
 def _with_noise(setup: Setup, how: solving.Clip) -> tuple[Setup, solving.Sources, solving.Clipped, Noise, list[str]]:
@@ -210,14 +214,16 @@ def _rows_there_are(setup: Setup) -> str:
 
 def _covariances(
     sources: solving.Sources, result: solving.Clipped, errors: Sequence[str], resamples: int, seed: int
-) -> tuple[dict[str, Array], list[str]]:
-    """Return the covariance of each kind of error, the main one first, and notes."""
+) -> tuple[dict[str, Array], dict[str, float], list[str]]:
+    """Return the covariance of each kind of error, the main one first, the number of sources or cells whose scatter it
+    is (inf for none), and notes.
+    """
     solved, notes, sums = result.solution, [], sources.sums
     if sums is not None:
         used = result.factors > 0.0
         sums, factors = sums.taken(used), result.factors[used]
         sums = sums if np.all(factors == 1.0) else sums.scaled(factors)
-    covariances = {}
+    covariances, samples = {}, {}
     for kind in dict.fromkeys([*errors, "formal", "scaled"]):
         groups = sums if kind != "cells" and sums is not None else sources.cell_sums(result.factors)
         if sums is None and kind in ("jackknife", "bootstrap", "sandwich"):
@@ -236,12 +242,14 @@ def _covariances(
             why = "there are no degrees of freedom" if kind == "scaled" else "some unknowns depend on a single source"
             notes.append(f"there are no {kind} errors: {why}")
         covariances[kind] = one
-    return covariances, notes
+        samples[kind] = np.inf if kind in ("formal", "scaled") else float(np.count_nonzero(groups.count > 0))
+    return covariances, samples, notes
 
 
-def spectrum(unknowns: Unknowns, estimate: Array, covariance: Array) -> Array:
+def spectrum(unknowns: Unknowns, estimate: Array, covariance: Array, samples: float = np.inf) -> Array:
     """Return of each of `FIELDS` and each degree the power (mas^2 or mas^2/yr^2), its mean for noise alone, c'V^-1 c,
-    which for noise alone is a chi2 of 2 l + 1 degrees of freedom, and the probability that noise is as significant;
+    which for noise alone is a chi2 of 2 l + 1 degrees of freedom, or Hotelling's T^2 if the covariance is from the
+    scatter of ``samples``, and the probability that noise is as significant;
     shape (4, fields, degrees), NaN for what is not among the unknowns.  Rotations and glides are of degree 1; there is
     no degree without harmonics.
     """
@@ -260,7 +268,7 @@ def spectrum(unknowns: Unknowns, estimate: Array, covariance: Array) -> Array:
             piece = slice(start, start + len(weights))
             start, x, v = piece.stop, estimate[piece], covariance[piece, piece]
             chi2 = float(x @ np.linalg.solve(v, x)) if np.any(v) else np.nan  # a table linked to itself has errors of 0
-            power = weights @ x**2, weights @ np.diag(v), chi2, chdtrc(2 * degree + 1, chi2)
+            power = weights @ x**2, weights @ np.diag(v), chi2, p_value(chi2, 2 * degree + 1, samples)
             powers[:, FIELDS.index(field), degree - 1] = power
     return powers
 
@@ -385,6 +393,11 @@ def as_dataset(link: Link, options: Options, per_source: bool = True) -> "xr.Dat
         "errors": (("error_kind", "unknown"), errors),
         "covariance": (both, covariance[0], {"kind": main}),
         "covariances": (("error_kind", *both), covariance),
+        "samples": (
+            "error_kind",
+            list(link.samples.values()),
+            {"long_name": "sources or cells that the errors are from"},
+        ),
         "correlation": (both, correlation),
         "chi2": ((), solved.squares),
         "chi2_expected": ((), solved.expected, {"long_name": "average of chi2 if the errors are right"}),
@@ -491,7 +504,9 @@ def _of_steps(link: Link, sign: float) -> dict[str, Any]:
 
 
 def _of_harmonics(link: Link, main: Array) -> dict[str, Any]:
-    powers = spectrum(link.setup.problem.unknowns, link.solution.estimate / MAS, main)
+    powers = spectrum(
+        link.setup.problem.unknowns, link.solution.estimate / MAS, main, next(iter(link.samples.values()))
+    )
     there = np.isfinite(powers[0])
     if not np.any(there):
         return {}

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from linksweep.sweep.contract import SweepError
+from linksweep.sweep.contract.rows import p_value
 from linksweep.sweep.formatting import in_three_digits, prefixed, rounded, with_unit
 from linksweep.sweep.table_writer import Column, Table
 
@@ -120,7 +121,9 @@ def difference(link: "xr.Dataset", other: "xr.Dataset") -> "xr.Dataset":
         other: what another `tie` returned.
 
     Returns:
-        A dataset in mas and mas/yr with ``chi2`` of the difference, and the ``probability`` of a larger one by chance.
+        A dataset in mas and mas/yr with ``chi2`` of the difference, and the ``probability`` of a larger one by chance:
+        that of Hotelling's T^2 if errors are from the scatter of sources or cells, NaN for those of a link of an
+        earlier version, which does not say of how many.
 
     Raises:
         SweepError: where the links have no unknown in common, or are beside other known ones, or the orientation of
@@ -133,7 +136,6 @@ def difference(link: "xr.Dataset", other: "xr.Dataset") -> "xr.Dataset":
         0.0
     """
     import xarray as xr
-    from scipy.special import chdtrc
 
     if any(one is None or "chi2_expected" not in one for one in (link, other)):
         raise SweepError("a difference is one of two links, which sweep tie -o writes")
@@ -154,15 +156,22 @@ def difference(link: "xr.Dataset", other: "xr.Dataset") -> "xr.Dataset":
     mine, theirs = link.unknown.to_index().get_indexer(both), [labels.index(name) for name in both]
     values = link.estimate.values[mine] - sign * (moved @ other.estimate.values)[theirs]
     there = (moved @ other.covariance.values @ moved.T)[np.ix_(theirs, theirs)]
-    covariance = link.covariance.values[np.ix_(mine, mine)] + there
-    chi2 = float(values @ np.linalg.solve(covariance, values)) if np.any(covariance) else np.nan
+    covariances = link.covariance.values[np.ix_(mine, mine)], there
+    covariance, chi2, samples = covariances[0] + there, np.nan, np.inf
+    if np.any(covariance):
+        chi2 = float(values @ np.linalg.solve(covariance, values))
+        parts = [np.linalg.solve(covariance, part) for part in covariances]
+        spread = [np.trace(part @ part) + np.trace(part) ** 2 for part in parts]
+        dof = [float(one.samples[0]) - 1.0 if "samples" in one else np.nan for one in (link, other)]
+        if inverse := sum(np.divide(spread, dof)):  # of the degrees of freedom of a sum, Krishnamoorthy and Yu 2004
+            samples = 1.0 + len(both) * (len(both) + 1) / inverse
     return xr.Dataset(
         {
             "estimate": ("unknown", values),
             "error": ("unknown", np.sqrt(np.diag(covariance))),
             "covariance": (("unknown", "unknown_other"), covariance),
             "chi2": ((), chi2),
-            "probability": ((), float(chdtrc(len(both), chi2))),
+            "probability": ((), p_value(chi2, len(both), samples)),
         },
         coords={"unknown": both, "unit": ("unknown", link.unit.values[mine])},
         attrs={"sign": link.attrs["sign"], "epoch": link.attrs["epoch"]},

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import xarray as xr
 from click.testing import CliRunner
-from scipy.stats import chi2
+from scipy.stats import chi2, f
 
 import linksweep
 from linksweep import SweepError, tie
@@ -93,6 +93,25 @@ def test_a_difference_is_at_the_epoch_and_in_the_sign_of_the_first():
         assert (abs(made.estimate) < 1e-4 * made.error).all()
         np.testing.assert_allclose(made.covariance, 2.0 * one.covariance.values, rtol=1e-3)
         assert made.attrs["sign"] == "reference-satellite"
+
+
+@pytest.mark.parametrize(("mine", "theirs"), [("jackknife", "sandwich"), ("cells", "scaled"), ("formal", "bootstrap")])
+def test_chi2_of_a_difference_of_errors_from_the_scatter_of_sources_is_hotellings(mine, theirs):
+    """The degrees of freedom of the sum are those of Wishart matrices with its mean and total variance."""
+    tables = "psrpi-de200", "timing-de200", "orientation"
+    links = [linksweep.tie(*tables, epoch=2010.0, errors=kind) for kind in (mine, theirs)]
+    made, p, total = linksweep.difference(*links), 3, 0.0
+    for link, kind in zip(links, (mine, theirs), strict=True):
+        samples = float(link.samples[0])
+        assert samples == np.inf if kind in ("formal", "scaled") else samples <= float(link.n_sources)
+        assert samples == float(link.n_sources) or kind not in ("jackknife", "sandwich", "bootstrap")
+        own = np.linalg.solve(made.covariance.values, link.covariance.values)
+        total += (np.trace(own @ own) + np.trace(own) ** 2) / (samples - 1.0)
+    dof = p * (p + 1) / total
+    expected = f(p, dof - p + 1).sf(made.chi2.item() * (dof - p + 1) / (p * dof))
+    assert made.probability.item() == pytest.approx(expected, rel=1e-9)
+    old = linksweep.difference(links[0].drop_vars("samples"), links[1])
+    assert np.isnan(old.probability.item())
 
 
 def test_chi2_of_a_difference_is_that_of_its_covariance_and_what_has_none_is_refused():
