@@ -128,6 +128,8 @@ def _of_points(dataset: xr.Dataset, seed: int) -> _Method:
     table = json.loads(dataset.attrs.get(POINT_TABLE, "{}"))
     design, ranges = table.get("design", ""), table.get("ranges", {})
     parameters = [n for n in table.get("ranges", table.get("parameters", [])) if n in dataset.coords]
+    if gaps := [name for name in parameters if design != "saltelli" and dataset[name].isnull().any()]:
+        raise SweepError(f"{gaps[0]} is missing at points where it has no effect: choose others, --at PARAMETER=VALUE")
     if design in ("saltelli", "morris"):
         if DESIGNS[design].size(table["n"], len(parameters)) != dataset.sizes[POINT]:
             raise SweepError(f"indices of a {design} design need all of its points")

@@ -241,3 +241,14 @@ def test_errors_cover_the_truth_and_are_not_merely_large(estimate, copies, truth
                 assert np.std(value) > 0.3 * np.mean(error)
             else:
                 assert np.mean(value) == pytest.approx(true, abs=0.02)  # noise is no bias
+
+
+def test_indices_of_a_design_need_the_parameter_at_all_points(tmp_path):
+    def score(x: float, kernel: str, gamma: float = 0.5):
+        return x + (gamma if kernel == "rbf" else 0.0)
+
+    ranges = {"x": [0.0, 1.0], "kernel": {"values": ["rbf", "linear"]}, "gamma": [0.0, 1.0]}
+    points = {"design": "sobol", "n": 16, "ranges": ranges}
+    ds = linksweep.run(score, tmp_path / "s", points=points, when={"gamma": {"kernel": ["rbf"]}}, pool="serial")
+    with pytest.raises(SweepError, match="gamma is missing at points"):
+        linksweep.sensitivity(ds)
