@@ -499,5 +499,5 @@ def _from_arrow(arrow: Any, columns: Sequence[str] | None = None) -> Any:
     arrow = arrow.cast(pa.schema([field.with_type(kind) for field, kind in zip(arrow.schema, plain, strict=True)]))
     table = from_frame(arrow.to_pandas(types_mapper=pd.ArrowDtype))
     for field in arrow.schema:
-        table[field.name].unit = (field.metadata or {}).get(b"unit", b"").decode()
+        table[field.name].unit = (field.metadata or {}).get(b"unit", b"").decode() or None
     return table
