@@ -81,7 +81,7 @@ def test_any_text_gives_rows_or_is_refused_with_its_place(condition):
         ("ruwe < ", "at the end"),
         ("__import__('os').system('true')", "not allowed"),
         ("ruwe.real < 1", "not allowed"),
-        ("ruwe < 1.4 & name < 3", "text cannot be compared with numbers in this way, at character 21, '3'"),
+        ("ruwe < 1.4 & name < 3", "text cannot be compared with numbers in this way .*at character 21, '3'"),
         ("ruwe", "numbers without a comparison"),
         ("ruwe + 1 < 2", "not allowed"),
         ("ruwe in 3", "not a list"),
