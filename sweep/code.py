@@ -448,11 +448,8 @@ class Reach:
 
     def _imported(self, nodes: Iterable[ast.AST], names: Names) -> dict[str, Any]:
         """Return what the import statements in some code bind; what is not the user's is not imported for this."""
-        bound, inside, package = (
-            dict[str, Any](),
-            [one for node in nodes for one in ast.walk(node)],
-            names.get("__package__"),
-        )
+        bound, package = dict[str, Any](), names.get("__package__")
+        inside = [one for node in nodes for one in ast.walk(node)]
         for one in inside:
             with suppress(Exception):  # raised again by the function where it is called
                 if isinstance(one, IMPORTS):

@@ -167,11 +167,11 @@ def meant(values: Sequence[Any], wanted: Any) -> set[int]:
     number = nan
     with suppress(ValueError, TypeError):
         number = float(wanted)
-    numbers = {value for value in values if isinstance(value, int | float) and not is_missing(value)}
-    first, second = [*sorted(numbers, key=lambda value: abs(value - number)), number * (1.0 + 1e-9), number][:2]
-    if not 20.0 * abs(first - number) < abs(second - number):
-        return set()
-    return {i for i, v in enumerate(values) if isinstance(v, float) and v == first and float(plain(values)[i]) != v}
+    texts = {v: text for v, text in zip(values, plain(values), strict=True) if isinstance(v, int | float) and text}
+    first, second = [*sorted(texts, key=lambda value: abs(value - number)), number * (1.0 + 1e-9), number][:2]
+    is_short = isinstance(first, float) and float(texts.get(first, "nan")) != first
+    is_near = 20.0 * abs(first - number) < abs(second - number)
+    return {i for i, v in enumerate(values) if v == first} if is_short and is_near else set()
 
 
 def is_missing(value: Any) -> bool:

@@ -372,7 +372,7 @@ def place_at(dataset: xr.Dataset, index: Mapping[str, int]) -> dict[str, Any]:
     for dimension in (d for d in dict.fromkeys([*axes_of(dataset), *index]) if d in index):
         names = dict.fromkeys([dimension, *map(str, dataset.coords)])
         along = [n for n in names if n in dataset.coords and dataset[n].dims == (dimension,)]
-        places |= {name: listed(dataset, name, [dimension])[index[dimension]] for name in along}
+        places |= {name: listed(dataset, name, [dimension], [index[dimension]])[0] for name in along}
     return places
 
 
@@ -444,7 +444,7 @@ def between(dataset: xr.Dataset, axis: str, low: float, high: float) -> xr.Datas
     shown = np.array([float(text or "nan") for text in texts])  # as somebody may have read them
     inside = np.flatnonzero(((values >= low) & (values <= high)) | ((shown >= low) & (shown <= high)))
     if not inside.size:
-        ends = f"it goes from {texts[values.argmin()]} to {texts[values.argmax()]}"
+        ends = f"it goes from {texts[np.nanargmin(values)]} to {texts[np.nanargmax(values)]}"
         raise SweepError(f"{axis} has no value from {' to '.join(plain([low, high]))}; {ends}")
     return dataset.isel({dataset[axis].dims[0]: inside})
 

@@ -54,7 +54,7 @@ MOST_MARKS = 2000  # more points than this are drawn as one image: in SVG each o
 SAMPLES = "kept samples of two components; the ellipses hold 68 and 95 % of a normal distribution"
 SUFFIX = "from_prediction"
 
-MOST_NUMBERS = 200_000  # in a page for all its interactive views together, some 2 MB
+MOST_NUMBERS = 200_000  # in a page for all its interactive views together, some 4 MB
 
 
 class Picture(NamedTuple):
@@ -229,7 +229,7 @@ def explorer(dataset: xr.Dataset, first: Sequence[str], room: int) -> tuple[dict
         views.append(_quantity(dataset, name, parts))
     dims = list(dict.fromkeys(d for view in views for d in view["dims"]))
     # points that the study leaves out are not missing, and nobody asked for those between the points of a refinement
-    at = np.flatnonzero(dataset["status"].values == Status.EXCLUDED).tolist()
+    at = np.flatnonzero(dataset["status"].values == Status.EXCLUDED).tolist() if views else []
     left = {"dims": list(dataset["status"].dims), "at": at, "refined": REFINED in dataset.attrs}
     return {"quantities": views, "axes": list(_axes(dataset, dims)), "excluded": left}, used, left_out
 

@@ -249,9 +249,8 @@ def _covariances(
 def spectrum(unknowns: Unknowns, estimate: Array, covariance: Array, samples: float = np.inf) -> Array:
     """Return of each of `FIELDS` and each degree the power (mas^2 or mas^2/yr^2), its mean for noise alone, c'V^-1 c,
     which for noise alone is a chi2 of 2 l + 1 degrees of freedom, or Hotelling's T^2 if the covariance is from the
-    scatter of ``samples``, and the probability that noise is as significant;
-    shape (4, fields, degrees), NaN for what is not among the unknowns.  Rotations and glides are of degree 1; there is
-    no degree without harmonics.
+    scatter of ``samples``, and the probability that noise is as significant; shape (4, fields, degrees), NaN for what
+    is not among the unknowns.  Rotations and glides are of degree 1; there is no degree without harmonics.
     """
     harmonics = [block for block in unknowns.blocks if isinstance(block, Harmonics)]
     highest = max((degree for block in harmonics for _, degree in block.parts), default=0)
@@ -393,11 +392,7 @@ def as_dataset(link: Link, options: Options, per_source: bool = True) -> "xr.Dat
         "errors": (("error_kind", "unknown"), errors),
         "covariance": (both, covariance[0], {"kind": main}),
         "covariances": (("error_kind", *both), covariance),
-        "samples": (
-            "error_kind",
-            list(link.samples.values()),
-            {"long_name": "sources or cells that the errors are from"},
-        ),
+        "samples": ("error_kind", list(link.samples.values()), {"long_name": "sources or cells of the errors"}),
         "correlation": (both, correlation),
         "chi2": ((), solved.squares),
         "chi2_expected": ((), solved.expected, {"long_name": "average of chi2 if the errors are right"}),
@@ -504,9 +499,8 @@ def _of_steps(link: Link, sign: float) -> dict[str, Any]:
 
 
 def _of_harmonics(link: Link, main: Array) -> dict[str, Any]:
-    powers = spectrum(
-        link.setup.problem.unknowns, link.solution.estimate / MAS, main, next(iter(link.samples.values()))
-    )
+    samples = next(iter(link.samples.values()))
+    powers = spectrum(link.setup.problem.unknowns, link.solution.estimate / MAS, main, samples)
     there = np.isfinite(powers[0])
     if not np.any(there):
         return {}
@@ -544,17 +538,16 @@ def _of_bins(link: Link, errors: Array, sign: float) -> dict[str, Any]:
     block = next((block for block in unknowns.blocks if isinstance(block, SpinByBin)), None)
     if block is None:
         return {}
-    spins = (
-        values[unknowns.part(block.name)].reshape(-1, 3) for values in (sign * link.solution.estimate / MAS, errors)
-    )
+    both = np.array([sign * link.solution.estimate / MAS, errors])[:, unknowns.part(block.name)]
+    spins, spin_errors = both.reshape(2, -1, 3)
     in_bins, unit = ("bin", "component"), {"units": "mas/yr"}
     return {
         "bin": ("bin", [f"[{low:g},{high:g})" for low, high in block.bins]),
         "bin_low": ("bin", [low for low, _ in block.bins]),
         "bin_high": ("bin", [high for _, high in block.bins]),
         "component": ("component", ["x", "y", "z"]),
-        "spin_by_bin": (in_bins, next(spins), unit),
-        "spin_by_bin_error": (in_bins, next(spins), unit),
+        "spin_by_bin": (in_bins, spins, unit),
+        "spin_by_bin_error": (in_bins, spin_errors, unit),
     }
 
 

@@ -406,9 +406,10 @@ def far_rows(satellite: AstrometricTable, table: AstrometricTable, matched: Matc
     size = f"{apart[far].max():.3g} deg" if refused else f"{apart[far].max() * 3600.0:.3g} arcsec"
     whose = "their source" if matched.by.startswith("position") else "the source of the same name"
     note = f"{named_rows(matched.rows[far])} of {Path(table.path).name}: up to {size} from {whose}"
+    nearby = min(DEGREE / 60.0, 0.1 * np.median(between[far]))  # near the poles of such a turn all rows are
     for ((path, one), (_, other)), (frame, words) in product(permutations(both), OTHER_FRAMES.items()):
         turned = SkyCoord(*position(one[:, far]), unit="rad", frame=frame).icrs.cartesian.xyz.value
-        if np.median(np.linalg.norm(turned - other[:, far], axis=0)) < DEGREE / 60.0:
+        if np.median(np.linalg.norm(turned - other[:, far], axis=0)) < nearby:
             raise SweepError(f"{note}; are the positions of {Path(path).name} {words}?")
     elsewhere = _elsewhere(satellite, table, matched, far)
     if refused:
@@ -667,7 +668,7 @@ class RowGroup:
         stars = self.read().astrometry
         known, source = known_unknowns(self.options, stars), moving_sources(stars)
         jitter = parse_jitter(self.options.jitter, ())
-        rows = with_jitter(zero_motion(len(stars)), jitter.get("reference", {})).taken(source)
+        rows = with_jitter(zero_motion(len(source)), jitter.get("reference", {}))
         return Problem(stars, rows, source, self.unknowns, self.epoch, self.options.weights, known)
 
     def read(self) -> AstrometricTable:
@@ -713,11 +714,7 @@ def set_up_row_groups(
         names = files.columns_needed(names, table_options(options)["satellite"], parse_bins(options.bins)[:1])
     digest, n = digest_once(path), sum(sizes)
     firsts = np.cumsum([0, *sizes]).tolist()
-    groups = [
-        RowGroup(path, digest, number, firsts[number], tuple(names), options)
-        for number, size in enumerate(sizes)
-        if size
-    ]
+    groups = [RowGroup(path, digest, k, firsts[k], tuple(names), options) for k, size in enumerate(sizes) if size]
     looks = run(look_through, ((group, per_source) for group in groups))
     samples, epochs, places, moving, notes = zip(*looks, strict=True)
     values = np.broadcast_to(np.nan, (5, n))  # takes no memory

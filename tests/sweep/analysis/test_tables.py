@@ -5,12 +5,14 @@ import math
 import re
 
 import numpy as np
+import pytest
 import xarray as xr
 from astropy.table import Table
 from hypothesis import given, settings, strategies as st
 
 import linksweep
-from linksweep.sweep.analysis.quantity import select
+from linksweep.sweep.analysis.quantity import between, indices, select
+from linksweep.sweep.contract import SweepError
 from tests.sweep.analysis.made import answers, grid, shown, text_of
 from tests.tiers import examples
 
@@ -129,3 +131,16 @@ def test_each_component_and_a_bad_condition_are_shown_in_80_columns():
     assert warned in text
     assert warned not in text_of(masers.assign(condition_number=("n_obj", [3.0])))
     assert "omega_x" not in text_of(masers.drop_vars(["sigma_mc_error"]))
+
+
+def test_a_range_without_points_names_the_ends_of_an_axis_that_has_no_effect_somewhere():
+    dataset = xr.Dataset(coords={"a": [np.nan, 2.0, 1.0]})
+    assert between(dataset, "a", 1.5, 9.0).a.values.tolist() == [2.0]
+    with pytest.raises(SweepError, match="it goes from 1 to 2"):
+        between(dataset, "a", 5.0, 6.0)
+
+
+def test_a_number_that_many_points_have_is_given_back_as_it_is_shown():
+    values = np.tile([0.1 + 0.2, 1 / 3], 20_000)
+    dataset = xr.Dataset(coords={"a": ("point", values)})
+    assert indices(dataset, {"a": "0.333333"})["point"] == list(range(1, 40_000, 2))

@@ -176,6 +176,18 @@ def test_a_mistake_is_named(tmp_path, mistake, n, seed):
     assert any(re.search(MISTAKES[mistake][2], note) for note in found), found
 
 
+def test_a_row_off_near_the_pole_of_the_ecliptic_is_not_of_another_equinox(tmp_path):
+    satellite, reference = sky(30, 1)
+    pole = SkyCoord(10.0, 89.7, unit="deg", frame="barycentricmeanecliptic").icrs
+    for table in (satellite, reference):
+        here = table["source_id"] == satellite["source_id"][0]
+        table["ra"][here], table["dec"][here] = pole.ra.deg, pole.dec.deg
+    reference["dec"][0] += 15.0 / 3600.0
+    notes = solved(tmp_path, satellite, reference)
+    assert any(re.search("15.* arcsec from", note) for note in notes), notes
+    assert not any("B1950" in note for note in notes), notes
+
+
 PAIRS = [
     ("mu_alpha", "a quarter year late there", 12, 3),
     ("motions exchanged", "motions in arcsec there", 12, 3),
