@@ -142,5 +142,5 @@ def test_a_range_without_points_names_the_ends_of_an_axis_that_has_no_effect_som
 
 def test_a_number_that_many_points_have_is_given_back_as_it_is_shown():
     values = np.tile([0.1 + 0.2, 1 / 3], 20_000)
-    dataset = xr.Dataset(coords={"a": ("point", values)})
+    dataset = xr.Dataset({"y": ("point", values)}, {"a": ("point", values)})
     assert indices(dataset, {"a": "0.333333"})["point"] == list(range(1, 40_000, 2))
