@@ -270,7 +270,7 @@ COMMANDS = [
     ("run decay.py:decay --axis years=1,2 --axis years=3 --set half_life=2", "leave out one"),
     ("show DECAYED --at year=1", "'years'"),
     ("fit DECAYED", "--over"),
-    ("plot DECAYED --at years=3", "1.0, 2.0"),
+    ("plot DECAYED --at years=3", "which has 1, 2"),
     ("find DECAYED", "--where"),
     ("plot DECAYED --logy", "'--log'"),
 ]
