@@ -912,9 +912,7 @@ def _rayleigh(sources: Sources, _: float | None) -> Clipped:
     kept = robust.factors > 0.0
     after = np.sqrt(2.0 * sources.discrepancies(robust.solution.estimate)[kept] / sources.count[kept])
     if median > 1.5 * MEDIAN_RAYLEIGH and np.median(after) < 0.75 * median:
-        said = (
-            f"the frames differ by more than the errors (median X {median:.3g}, and {np.median(after):.3g} after a fit)"
-        )
+        said = f"the frames differ by more than the errors (median X {median:.3g}, {np.median(after):.3g} after a fit)"
         notes.append(f"{said}, so a clip before the fit drops good sources: use median or discrepancy")
     try:
         solution = sources.solve(factors)

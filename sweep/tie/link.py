@@ -763,9 +763,7 @@ def apply(
     if lost := [name for name in CORRELATIONS if not read.has(name) and np.any(np.nan_to_num(new.get(name, 0.0)))]:
         notes.append(f"the table has no {', '.join(lost)}: these correlations, which the link adds, are lost")
     if "satellite_read" not in link.attrs:
-        notes.append(
-            "the link does not know how its tables were read, with units, names of columns or cos(dec) of pmra"
-        )
+        notes.append("the link does not say how its tables were read: units, names of columns, cos(dec) of pmra")
     notes.append(f"columns that were changed: {', '.join(put)}")
     said = [f"{key}={value}" for key, value in [*how.columns.items(), *how.units.items()]]
     if said := said + ["pmra without cos(dec)"] * (how.pmra_cos_dec is False):
@@ -784,9 +782,7 @@ def _notes(link: "xr.Dataset", stars: Astrometry, inverse: bool, path: str) -> l
     blocks = dict.fromkeys(map(str, link["block"].values.tolist()))
     applied = [name for name in blocks if name.partition(":")[0] not in link.attrs["missions"]]
     if further := [name for name in applied if name not in ROTATION.names]:
-        raise SweepError(
-            f"the link has {', '.join(further)} too, and only orientation and spin are applied: solve again"
-        )
+        raise SweepError(f"the link has {', '.join(further)} too; only orientation and spin are applied: solve again")
     known = [name for name in ("known_spin", "known_orientation") if link.attrs.get(name, "none") != "none"]
     if "bin" in link.dims or known:
         raise SweepError(f"the link is beside {' and '.join(known) or 'spins by bins'}: solve for orientation and spin")

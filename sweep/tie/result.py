@@ -212,9 +212,7 @@ def _link_tables(link: "xr.Dataset") -> list[Table]:
     if "amplitude" in link:
         errors = dict(zip(kinds, link.amplitude_errors.values, strict=True))
         columns = _estimates("amplitude", link.amplitude_name, link.amplitude, errors, link.amplitude_unit)
-        made.append(
-            Table(columns, "the same harmonics as rotation R, glide G, electric and magnetic quadrupoles E and M")
-        )
+        made.append(Table(columns, "the harmonics as rotation R, glide G, electric and magnetic quadrupoles E and M"))
     if "noise" in link:
         columns = [_texts("rows:quantity", link.noise.values), _numbers("noise", link.noise_size, ".5f")]
         columns += [_numbers("error", link.noise_error, ".5f"), _texts("unit", link.noise_unit.values)]

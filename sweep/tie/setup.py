@@ -178,9 +178,7 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
     left = read_table(files.path_of(satellite), how["satellite"])
     n = len(left.astrometry)
     if len(without := np.flatnonzero(~np.isfinite(left.astrometry.values[:2]).all(axis=0))):
-        raise SweepError(
-            f"each source needs a position, and there is no ra and dec in {named_rows(without)}", left.path
-        )
+        raise SweepError(f"each source needs a position, and there is none in {named_rows(without)}", left.path)
     notes, epochs = left.named_notes(), None
     if options.epochs:
         observed = list(dict(options.epochs).values())
@@ -248,10 +246,8 @@ def _resting(stars: Astrometry, rows: Astrometry, source: Indices) -> list[str]:
     observed = np.unique(source[kinds(rows) == "single epoch"])
     if len(observed) < 5:
         return []
-    size = np.where(
-        stars.present[2:], (stars.values[2:] / np.where(stars.present[2:], stars.errors[2:], 1.0)) ** 2, np.nan
-    )
-    if not np.nanmean(size[:, observed]) < 4.0:
+    values, errors = (one[2:, observed][stars.present[2:, observed]] for one in (stars.values, stars.errors))
+    if not np.mean((values / errors) ** 2) < 4.0:
         return []
     said = "positions of a single epoch are displaced by parallaxes, and these sources have none, nor motions"
     return [f"{said}: if they are quasars, say --extragalactic reference"]
@@ -344,9 +340,7 @@ def _by_name(satellite: AstrometricTable, reference: AstrometricTable, pair: tup
     used = {name for name in wanted if name in known}
     if twice := {satellite.names[column][i] for i, name in enumerate(names) if name in used and known[name] != i}:
         if strict:
-            raise SweepError(
-                f"{column} {', '.join(sorted(twice)[:5])} occurs more than once in the table", satellite.path
-            )
+            raise SweepError(f"{column} {', '.join(sorted(twice)[:5])} is there more than once", satellite.path)
         place[:] = -1
     return Match(place, column if column == other else f"{column} = {other}", np.full(len(place), -1))
 

@@ -179,9 +179,7 @@ def path_of(table: Any) -> Path:
     """Return the path that stands for a table; raises SweepError for anything else."""
     if isinstance(table, str | Path):
         return Path(table)
-    raise SweepError(
-        f"a table is a file, or the name of a built-in one: write this {type(table).__name__} to a file first"
-    )
+    raise SweepError(f"a table is a file or the name of a built-in one: write this {type(table).__name__} to a file")
 
 
 def built_in(path: Path) -> Path:
@@ -283,11 +281,9 @@ def _releases(read: Columns, names: Mapping[str, NDArray[np.str_]], epochs: Arra
         if there:
             releases[name] = min(there)
         if len(there) > 1:
-            read.problems.append(
-                f"column {name!r} has rows of {' and '.join(sorted(there))}, each in a frame of its own"
-            )
+            read.problems.append(f"column {name!r} has rows of {' and '.join(sorted(there))}, each in its own frame")
     if len(there := set(releases_at(epochs)) - {"dr5"}) > 1 and {*read.names} >= archives.GAIA_MARKS:
-        read.problems.append(f"rows have the epochs of {' and '.join(sorted(there))}, each in a frame of its own")
+        read.problems.append(f"rows have the epochs of {' and '.join(sorted(there))}, each in its own frame")
     near = releases_at(epochs)
     release = next(iter(releases.values()), near[0] if len(near) == 1 else "")
     return {name: release for name in names if name.casefold() == "source_id"} | releases
