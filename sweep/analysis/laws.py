@@ -175,8 +175,10 @@ def lines(
     quantity.require_axis(dataset, variable, over)
     made = lines_of(dataset, variable, over, covariance, least)
     quantity.require_done(dataset)
-    problems = []
+    problems: list[str] = []
     for line in made.lines:
+        if len(problems) == FEW:  # words on a place take a while
+            break
         bad = ~np.isfinite(line.y)
         if bad.any():
             problems.append(f"{variable} is not a finite number{made.at(line, line.x[bad][0])}")
@@ -186,7 +188,7 @@ def lines(
     if not any(len(line.x) for line in made.lines):
         problems.append("every point is excluded by the study")
     if problems:
-        raise SweepError(problems[:FEW])
+        raise SweepError(problems)
     return made
 
 
@@ -396,8 +398,10 @@ def _fitted(made: Lines, fit: Callable[..., dict[str, Any]]) -> list[dict[str, A
     Raises SweepError listing the fits that fail, and values that are not above 0.
     """
     rows: list[dict[str, Any]] = []
-    problems = []
+    problems: list[str] = []
     for line in made.lines:
+        if len(problems) == FEW:
+            break
         row: dict[str, Any] = {"points": len(line.x)}
         rows.append(row)
         if (bad := ~(line.y > 0.0)).any():
@@ -410,7 +414,7 @@ def _fitted(made: Lines, fit: Callable[..., dict[str, Any]]) -> list[dict[str, A
             except ValueError as error:
                 problems.append(f"{error}: {made.variable} over {made.over}{made.at(line)}")
     if problems:
-        raise SweepError(problems[:FEW])
+        raise SweepError(problems)
     return rows
 
 
@@ -645,7 +649,8 @@ def _reach(line: Line, z: Array, start: int, fraction: float, threshold: float) 
         off, slope = at @ u if i > start else 0.0, along @ u
         a, b, c = slope**2 - along @ spread @ along, off * slope - at @ spread @ along, off**2 - at @ spread @ at
         with np.errstate(invalid="ignore", divide="ignore"):
-            ends = (-b + np.array([-1.0, 1.0]) * np.sqrt(b * b - a * c)) / a
+            root = -b - np.copysign(np.sqrt(b * b - a * c), b)
+            ends = np.array([c / root, root / a])  # of which the first is exact where a is small
         ends = ends[(ends >= 0.0) & (side * (off + slope * ends) > 0.0)]
         s = 0.0 if c >= 0.0 <= side * off else min(ends, default=np.inf)
         if np.isfinite(s) and (fraction + s <= 1.0 or i == len(z) - 2):

@@ -397,7 +397,10 @@ class FunctionExperiment(Experiment):
         Raises rules.ResultError for an invalid result, and whatever the function raises.
         """
         call, expected = self.call, self.expected
-        points = [self._arguments(point) for point in points]
+        # objects in place of labels, and nothing where an argument has a default
+        optional = {one.name for one in self.parameters if one.optional or one.required}
+        points = [{k: v.value if isinstance(v, Named) else v for k, v in point.items()} for point in points]
+        points = [{k: v for k, v in point.items() if v is not None or k in optional} for point in points]
         assert call is not None, "the record of an experiment computes nothing"
         if self.vectorised:  # the caller sends many points only to such functions
             columns = {name: np.array([point[name] for point in points]) for name in points[0]}
@@ -413,12 +416,6 @@ class FunctionExperiment(Experiment):
                 realised = [results.flatten(call(**point, rng=rng), expected) for _ in range(n_sim)]
             outcomes.append(drawn(realised, self.name, self.declared, keep_samples))
         return outcomes
-
-    def _arguments(self, point: Point) -> dict[str, Any]:
-        """Return what the function gets at a point: objects in place of labels, and nothing where it has a default."""
-        values = {name: value.value if isinstance(value, Named) else value for name, value in point.items()}
-        optional = {one.name for one in self.parameters if one.optional or one.required}
-        return {name: value for name, value in values.items() if value is not None or name in optional}
 
     def learned(self, outcomes: Mapping[int, Outcome]) -> "tuple[FunctionExperiment, dict[int, Any], dict[int, str]]":
         """Return the experiment with the layout that the first result has, with floats where any result has; the fields

@@ -167,15 +167,6 @@ def _of_two_values(share: Array, error: Array, std: Array) -> Array:
     return np.asarray(np.hypot(most - std, std - spreads.min(axis=0)) / math.sqrt(2.0) / SIGMAS)
 
 
-def _one_sigma(value: Array, lower: Array, upper: Array) -> Array:
-    """Return one error for both sides of a quantile, from its limits at `SIGMAS`: the root mean square of their
-    distances, or the larger one if that is more than twice the other, as where the law has a gap.
-    """
-    above, below = upper - value, value - lower
-    larger, mean = np.maximum(above, below), np.hypot(above, below) / math.sqrt(2.0)
-    return np.where(larger > 2.0 * np.minimum(above, below), larger, mean) / SIGMAS
-
-
 def quantiles(levels: Sequence[float], realisations: Array) -> Array:
     """Return quantiles of realisations (n, size) and their errors, (levels, 2, size).
 
@@ -191,7 +182,11 @@ def quantiles(levels: Sequence[float], realisations: Array) -> Array:
             (first, lower), (last, upper) = _limit(ordered[::-1], 1.0 - level), _limit(ordered, level)
             between = ordered[n - 1 - first : last + 1]
             known = np.count_nonzero(np.diff(between, axis=0), axis=0) >= FEWEST_VALUES - 1
-            pairs[i, 1] = np.where(known, _one_sigma(pairs[i, 0], lower, upper), np.nan)
+            above, below = upper - pairs[i, 0], pairs[i, 0] - lower
+            larger, mean = np.maximum(above, below), np.hypot(above, below) / math.sqrt(2.0)
+            # one error for both sides: the larger one only where they differ much, as where the law has a gap
+            one_sigma = np.where(larger > 2.0 * np.minimum(above, below), larger, mean) / SIGMAS
+            pairs[i, 1] = np.where(known, one_sigma, np.nan)
     return pairs
 
 

@@ -222,6 +222,10 @@ def test_a_line_that_turns_back_at_the_limit_has_not_crossed_it(noise, mirrored)
     errors = find(grid(-tops if mirrored else tops, 1.0, x=x[:4]), "width > 0", "n")["first_error"].values
     assert np.isnan(errors[0])
     assert 0.7 < errors[1] < 1.5
+    # the difference of the last two is twice its error, or a little less: the square of their line has no s^2
+    lines = grid([[20, 2, -1]] * 2, [[0.1, 1.5, 0.0], [0.1, 1.4999, 0.0]], x=x[:3])
+    errors = find(lines, "width > 0", "n")["first_error"].values
+    assert errors[0] == pytest.approx(errors[1], rel=1e-3)
 
 
 @pytest.mark.slow
