@@ -203,7 +203,8 @@ class Accumulator:
         index = point.index
         self.seconds[index] += seconds
         self.realisations[index] += block.realisations
-        if not self.is_missing(index) or self._is_divided(index):
+        # where other parts of the study have blocks of a point, it is added up when they are merged
+        if not self.is_missing(index) or (self._share is not None and self._share[index] is not None):
             return []
         cost = self.plan.cost(point.parameters)
         round_ = self._rounds.get(index)
@@ -282,10 +283,6 @@ class Accumulator:
             half = len(indices) // 2
             return self.failing(indices[:half]) | self.failing(indices[half:])
         return {}
-
-    def _is_divided(self, index: int) -> bool:
-        """Return whether other parts of the study have blocks of a point: then it is added up where they are merged."""
-        return self._share is not None and self._share[index] is not None
 
     def fail(self, index: int) -> None:
         """Mark a point as failed; none of its blocks is given out any more."""

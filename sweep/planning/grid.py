@@ -78,12 +78,12 @@ class Grid:
             return None
         first: dict[bytes, int] = {}
         points = enumerate(zip(self._raw(everything := np.arange(len(self))), self.digests(everything), strict=True))
-        places = [k if self._is_misplaced(raw) else first.setdefault(digest, k) for k, (raw, digest) in points]
+        places = [k if self._is_misplaced(*raw) else first.setdefault(digest, k) for k, (raw, digest) in points]
         return np.array(places) if len(first) < len(places) else None
 
     def without(self, name: str) -> NDArray[np.bool_]:
         """Return at which places along its dimension all points are without a parameter."""
-        gone = [name in self.study.missing(raw) for raw in self._raw(np.arange(len(self)))]
+        gone = [name in missing for _, missing in self._raw(np.arange(len(self)))]
         others = tuple(k for k, axes in enumerate(self.dimensions.values()) if name not in axes)
         return np.asarray(np.array(gone).reshape(self.shape).all(axis=others))
 
@@ -96,13 +96,13 @@ class Grid:
 
     def parameters(self) -> Iterator[tuple[int, dict[str, Any]]]:
         """Yield index and parameters of the points that are not excluded, in C order; repeated ones only once."""
-        first = self._first
+        first, has_excluded = self._first, bool(self.study.excluded or self._alone)
         for start in range(0, len(self), AT_ONCE):
             some = np.arange(start, min(start + AT_ONCE, len(self)))
-            for index, raw in zip(some.tolist(), self._raw(some), strict=True):
+            for index, (raw, gone) in zip(some.tolist(), self._raw(some), strict=True):
                 is_first = first is None or first[index] == index
-                if is_first and index not in self._left_out and not self.excludes(raw):
-                    yield index, self._resolved(raw)
+                if is_first and index not in self._left_out and not (has_excluded and self._excludes(raw, gone)):
+                    yield index, _resolved(raw, gone)
 
     def indices(self) -> NDArray[np.intp]:
         """Return the indices of the points that `parameters` yields."""
@@ -137,24 +137,19 @@ class Grid:
             digests = self.digests(some)
             streams = self._digests(some, self._shared) if self._shared else digests
             for index, raw, digest, stream in zip(some.tolist(), self._raw(some), digests, streams, strict=True):
-                yield GridPoint(index, self._resolved(raw), digest, stream)
+                yield GridPoint(index, _resolved(*raw), digest, stream)
 
-    def _raw(self, indices: NDArray[np.intp]) -> Iterator[dict[str, Any]]:
-        """Yield the values that the axes and constants of points have, also those without effect."""
+    def _raw(self, indices: NDArray[np.intp]) -> Iterator[tuple[dict[str, Any], list[str]]]:
+        """Yield the values that the axes and constants of points have, and the names of those without effect."""
         places = zip(self.rows.values(), self._places(indices), strict=True)
         along = [map(rows.__getitem__, numbers) for rows, numbers in places]  # the values, point by point
         for _, *combination in zip(indices.tolist(), *along, strict=True):
             parameters = self._fixed.copy()
             parameters.update(zip(self._names, itertools.chain.from_iterable(combination), strict=True))
-            yield parameters
+            yield parameters, self.study.missing(parameters)
 
-    def _resolved(self, raw: dict[str, Any]) -> dict[str, Any]:
-        """Return the parameters of a point, None for those without effect."""
-        return raw | dict.fromkeys(self.study.missing(raw)) if self.study.when else raw
-
-    def _is_misplaced(self, raw: Mapping[str, Any]) -> bool:
+    def _is_misplaced(self, raw: Mapping[str, Any], gone: Collection[str]) -> bool:
         """Return whether an axis of its own has a value where it has no effect, or none where it has one."""
-        gone = self.study.missing(raw)
         return any((raw[name] is None) != (name in gone) for name in self._alone)
 
     @cached_property
@@ -180,7 +175,7 @@ class Grid:
         """Return digests of points by all their parameters except those ``left_out``."""
         places = dict(zip(self.dimensions, self._places(indices), strict=True))
         known = [entry for entry in self._texts_along if entry[0] not in left_out]
-        gone = [self.study.missing(raw) for raw in self._raw(indices)] if self.study.when else []
+        gone = [missing for _, missing in self._raw(indices)] if self.study.when else []
         texts = list[Iterable[str | None]]()
         for name, dimension, along in known:
             numbers = itertools.repeat(0, len(indices)) if dimension is None else places[dimension]
@@ -221,9 +216,17 @@ class Grid:
 
     def excludes(self, parameters: dict[str, Any]) -> bool:
         """Return whether the study leaves out a point with these values on its axes."""
-        point = self._resolved(parameters)
+        return self._excludes(parameters, self.study.missing(parameters))
+
+    def _excludes(self, raw: dict[str, Any], gone: Collection[str]) -> bool:
+        point = _resolved(raw, gone)
         is_left_out = any(all(c.holds(point[c.name]) for c in clause) for clause in self.study.excluded)
-        return is_left_out or self._is_misplaced(parameters)
+        return is_left_out or self._is_misplaced(raw, gone)
+
+
+def _resolved(raw: dict[str, Any], gone: Collection[str]) -> dict[str, Any]:
+    """Return the parameters of a point, None for those without effect."""
+    return raw | dict.fromkeys(gone) if gone else raw
 
 
 def all_but(study: Study, points: Collection[bytes]) -> dict[str, int]:
@@ -264,7 +267,11 @@ def make_grid(study: Study) -> Grid:
             "with a store each, or take a design of points (--design)"
         )
         raise SweepError(message, study.source)
-    judged = PointCache(partial(_judged, study), study.varying)
+    # only places that axes share may be without a value: else nothing there differs between points for this
+    values = {name: (value,) for name, value in study.fixed.items()} | dict(study.axes)
+    required = [one.name for one in study.experiment.parameters if not one.optional and one.default is not None]
+    may_lack = [name for name in required if name in study.when.keys() - study.alone and None in values.get(name, ())]
+    judged = PointCache(partial(_judged, study, may_lack), study.varying)
     reasons, warnings = Counter[str](), Counter[str]()
     idle: Mapping[str, str] | None = None  # fixed parameters that mattered at no point so far
     last: object = None
@@ -293,14 +300,13 @@ def make_grid(study: Study) -> Grid:
     return grid
 
 
-def _judged(study: Study, parameters: Point) -> tuple[str | None, Mapping[str, str], tuple[str, ...]]:
+def _judged(
+    study: Study, may_lack: Sequence[str], parameters: Point
+) -> tuple[str | None, Mapping[str, str], tuple[str, ...]]:
     """Return why a point cannot be computed, which parameters change nothing at it, and warnings of it."""
     defaults = study.experiment.defaults()
     what = "check of a point"
-    effective = (study.experiment.parameter(name) for name in study.when.keys() - {*study.missing(parameters)})
-    lacking = [
-        one.name for one in effective if parameters[one.name] is None and not one.optional and one.default is not None
-    ]
+    lacking = [name for name in may_lack if parameters[name] is None and name not in study.missing(parameters)]
     try:
         reason = f"{lacking[0]} has no value where it has an effect" if lacking else study.experiment.check(parameters)
         if reason is not None:

@@ -538,7 +538,9 @@ def _in_file(form: PointsForm, values: Values) -> tuple[Cells, dict[str, str]]:
     columns = {name: _read_cells(cells, kinds.get(name, "any")) for name, cells in columns.items()}
     kinds |= dict.fromkeys(columns.keys() - kinds.keys(), "any")  # labels
     doubtful = [
-        name for name, kind in kinds.items() if kind in ("any", "str") and not _are_texts(columns.get(name, []))
+        name
+        for name, kind in kinds.items()
+        if kind in ("any", "str") and not all(isinstance(cell, str | None) for cell in columns.get(name, ()))
     ]
     written, _ = columns_of(read_table(path, texts=doubtful)) if doubtful else ({}, {})
     for name in doubtful:  # 0071 is a name, and not the number 71
@@ -548,10 +550,6 @@ def _in_file(form: PointsForm, values: Values) -> tuple[Cells, dict[str, str]]:
             pairs = zip(columns[name], written[name], strict=True)
             columns[name] = [int(text) if re.fullmatch(r"[+-]?\d+", str(text)) else cell for cell, text in pairs]
     return columns, units
-
-
-def _are_texts(cells: Sequence[Any]) -> bool:
-    return all(isinstance(cell, str | None) for cell in cells)
 
 
 def _read_cells(cells: list[Any], kind: str) -> list[Any]:

@@ -7,6 +7,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from decimal import Decimal, InvalidOperation
+from functools import cached_property
 from itertools import count, groupby
 from string import Formatter
 from typing import Annotated, Any, Literal, Self
@@ -120,12 +121,17 @@ class Condition:
     def holds(self, value: Any) -> bool:
         """Return whether a parameter's value meets the condition."""
         if self.among is not None:
-            return any(not is_other(value, one) for one in self.among)
+            return (value, type(value) is bool) in self._among
         return (
             is_number(value)
             and (self.above is None or value > self.above)
             and (self.below is None or value < self.below)
         )
+
+    @cached_property
+    def _among(self) -> frozenset[tuple[Value, bool]]:
+        """The values of ``among``, told apart as by `is_other`; there may be thousands, and a million points to ask."""
+        return frozenset((value, type(value) is bool) for value in self.among or ())
 
 
 def _condition(name: str, written: Any, context: Context) -> Condition:
@@ -643,7 +649,7 @@ class Part:
         return cls(int(match[2]), int(match[1])) if match else None
 
     @classmethod
-    def places(cls, name: object) -> list[str]:
+    def places(cls, name: Any) -> list[Any]:
         """Return the places of all parts that ``STORE.part-*-of-N`` names; another name itself.
 
         >>> Part.places("s.zarr.part-*-of-2")
@@ -651,7 +657,7 @@ class Part:
         """
         match = re.fullmatch(r"(?s)(.*)\.part-\*-of-([1-9]\d{0,5})", str(name))
         total = int(match[2]) if match else 0
-        return [cls(total, k + 1).place(match[1]) for k in range(total)] if match else [str(name)]
+        return [cls(total, k + 1).place(match[1]) for k in range(total)] if match else [name]
 
 
 def in_ranges(numbers: Iterable[int]) -> str:
@@ -828,8 +834,8 @@ class Study:
 
     def arguments(self, parameters: dict[str, Any]) -> dict[str, Any]:
         """Return what the experiment gets at a point: the defaults of parameters that are missing."""
-        defaults = self.experiment.defaults()
-        return parameters | {name: defaults[name] for name in self.missing(parameters)} if self.when else parameters
+        gone = self.missing(parameters)
+        return parameters | {name: self.experiment.parameter(name).default for name in gone} if gone else parameters
 
     def meaning(self) -> dict[str, Any]:
         """Return what determines the results of every point besides its own parameters: if this differs, results cannot
@@ -863,6 +869,6 @@ class Study:
             **({} if self.points is None else {"points": self.points.names}),
             **({"labels": self.points.labels} if self.points is not None and self.points.labels else {}),
             **({"counts": self.counts} if self.counts else {}),
-            "exclude": [[vars(c) for c in clause] for clause in self.excluded],
+            "exclude": [[vars(replace(c)) for c in clause] for clause in self.excluded],
         }
         return hashlib.sha256(json.dumps(whole, sort_keys=True, default=content_digest).encode()).hexdigest()
