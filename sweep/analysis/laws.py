@@ -648,6 +648,8 @@ def _reach(line: Line, z: Array, start: int, fraction: float, threshold: float) 
         # The square of the line less that of its errors is c + 2 b s + a s^2 at a distance s.
         off, slope = at @ u if i > start else 0.0, along @ u
         a, b, c = slope**2 - along @ spread @ along, off * slope - at @ spread @ along, off**2 - at @ spread @ at
+        if np.isnan(c):  # errors that are not known
+            break
         with np.errstate(invalid="ignore", divide="ignore"):
             root = -b - np.copysign(np.sqrt(b * b - a * c), b)
             ends = np.array([c / root, root / a])  # of which the first is exact where a is small
