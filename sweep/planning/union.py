@@ -7,7 +7,6 @@ import math
 from collections import Counter, defaultdict
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -250,8 +249,9 @@ def _sampling(stored: Study, asked: Study) -> Sampling:
     if precise := [one for one in (old, new) if one.precision is not None]:
         more["precision"] = min(one.precision or 1.0 for one in precise)
         more["max_n_sim"] = max(more["n_sim"], *(one.most for one in precise))
-    both, keys = new.model_copy(update=more), attrgetter("n_sim", "n_cat", "precision", "most")
-    return next((one for one in (old, new) if keys(one) == keys(both)), both)
+    both = new.model_copy(update=more)
+    wanted = both.n_sim, both.n_cat, both.precision, both.most
+    return next((one for one in (old, new) if (one.n_sim, one.n_cat, one.precision, one.most) == wanted), both)
 
 
 def _counts(

@@ -484,19 +484,20 @@ def _parquet(source: Any) -> Iterator[Any]:
 
 def _from_arrow(arrow: Any, columns: Sequence[str] | None = None) -> Any:
     import pandas as pd
-    import pyarrow as pa
+    import pyarrow.parquet
     from astropy.table import Table
-    from pyarrow import parquet
 
     # astropy writes a mask as a column of its own, and a time as two
     if b"table_meta_yaml" in (arrow.schema.metadata or {}):
-        if nulls := [f.name for f in arrow.schema if arrow[f.name].null_count and not pa.types.is_floating(f.type)]:
+        if nulls := [
+            f.name for f in arrow.schema if arrow[f.name].null_count and not pyarrow.types.is_floating(f.type)
+        ]:
             raise SweepError(f"has nulls in {', '.join(nulls)}, where astropy has masks: write it with astropy")
-        parquet.write_table(arrow, source := io.BytesIO())
+        pyarrow.parquet.write_table(arrow, source := io.BytesIO())
         return Table.read(source, format="parquet", include_names=columns)
-    decimals = [pa.float64() if pa.types.is_decimal(field.type) else field.type for field in arrow.schema]
-    plain = [kind.value_type if pa.types.is_dictionary(kind) else kind for kind in decimals]
-    arrow = arrow.cast(pa.schema([field.with_type(kind) for field, kind in zip(arrow.schema, plain, strict=True)]))
+    decimals = [pyarrow.float64() if pyarrow.types.is_decimal(field.type) else field.type for field in arrow.schema]
+    plain = [kind.value_type if pyarrow.types.is_dictionary(kind) else kind for kind in decimals]
+    arrow = arrow.cast(pyarrow.schema([field.with_type(kind) for field, kind in zip(arrow.schema, plain, strict=True)]))
     table = from_frame(arrow.to_pandas(types_mapper=pd.ArrowDtype))
     for field in arrow.schema:
         table[field.name].unit = (field.metadata or {}).get(b"unit", b"").decode() or None
