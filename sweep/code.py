@@ -622,7 +622,7 @@ def _is_act(statement: ast.stmt, names: Names) -> bool:
     if names.get("__name__") == "__main__":
         roots = [one for target in changed for one in ast.walk(target) if isinstance(one, ast.Name)]
         changed, called = [one for one in roots if isinstance(names.get(one.id), ModuleType)], []
-    return bool(changed or called) or any(isinstance(one, DEFINITIONS) and _is_given(one, names) for one in nodes)
+    return bool(changed or called) or any(isinstance(one, DEFINITIONS) and _is_registered(one, names) for one in nodes)
 
 
 def _at_import(node: ast.AST) -> Iterator[ast.AST]:
@@ -638,8 +638,8 @@ def _at_import(node: ast.AST) -> Iterator[ast.AST]:
             yield from _at_import(one)
 
 
-def _is_given(node: Any, names: Names) -> bool:
-    """Return whether a definition is given to others by a decorator: one that returns the function or class as it was,
+def _is_registered(node: Any, names: Names) -> bool:
+    """Return whether a decorator registers a definition somewhere: one that returns the function or class as it was,
     without a mark on it, can have done nothing else.  Those of Python make definitions, and what a value of the user's
     is given is in that value.
     """
@@ -707,8 +707,8 @@ class LocalFiles(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         name, place = module.__name__.partition(".")[2], str(module.__file__)
         tree = ast.parse(self.contents[name], place)
         # A file random.py may import Python's module random, as it does where it is run as a script.
-        own = "" if place.endswith("__init__.py") else name
-        local = {known.split(".")[1] for known in self.files} - {own}
+        itself = "" if place.endswith("__init__.py") else name
+        local = {known.split(".")[1] for known in self.files} - {itself}
         for node in ast.walk(tree):
             if isinstance(node, ast.Import):
                 for alias in [one for one in node.names if one.name.partition(".")[0] in local]:

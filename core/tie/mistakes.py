@@ -285,7 +285,7 @@ def _deficit(problem: Problem, groups: Sequence[_Group]) -> str:
     """Return which errors are too large by a factor of units: those that bring chi2 of some groups up to their level
     and that of all next to its expectation.
     """
-    found: dict[float, Cause] = {}  # the same errors may have several names
+    causes: dict[float, Cause] = {}  # the same errors may have several names
     for (factor, unit), group in product(LARGER.items(), groups):
         names = {group.words.removeprefix("the ").partition(" of ")[0]: group.rows} | WITH_ERRORS
         wholes = [part for part in _wholes(problem) if part.table in ("satellite", group.part.table)]
@@ -300,8 +300,8 @@ def _deficit(problem: Problem, groups: Sequence[_Group]) -> str:
             if 0.1 < level[group.words] < EXCESS:
                 ratio = max(level[group.words], solution.scale**2, key=lambda one: abs(np.log(one)))
                 cause = Cause(f"errors of {name} of {part.words} too large, {unit}", ratio, HIDES_ALL)
-                found.setdefault(round(ratio, 9), cause)
-    return likely(list(found.values()), _alike_within(problem)) if found else ""
+                causes.setdefault(round(ratio, 9), cause)
+    return likely(list(causes.values()), _alike_within(problem)) if causes else ""
 
 
 def _alike_within(problem: Problem) -> float:
@@ -349,13 +349,15 @@ def _two(problem: Problem) -> list[Cause]:
     few = _of_sources(problem, worst) if len(worst) else ()
     trials = [*_trials(problem, [*wholes, *few]), *_exchanged(problem, free)]
     best = sorted(((left(trial), words, trial) for words, hides, trial in trials if not hides), key=lambda one: one[0])
-    found: dict[frozenset[str], Cause] = {}  # the same two in either order are one
+    causes: dict[frozenset[str], Cause] = {}  # the same two in either order are one
     for after, words, trial in best[:TWICE]:
         if after < 0.9 * _ratio(free):
             for cause in (cause for part in wholes for cause in _causes(trial, part, _ratio(trial))):
                 if cause.ratio < GOOD and not cause.hides:
-                    found.setdefault(frozenset((words, cause.words)), Cause(f"{words}, and {cause.words}", cause.ratio))
-    return list(found.values())
+                    causes.setdefault(
+                        frozenset((words, cause.words)), Cause(f"{words}, and {cause.words}", cause.ratio)
+                    )
+    return list(causes.values())
 
 
 def _freed_epochs(problem: Problem) -> Problem:

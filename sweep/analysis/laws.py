@@ -582,8 +582,8 @@ def interpolate(
     for row, line in ((row, line) for row, line in zip(rows, made.lines, strict=True) if len(line.x)):
         x = line.x
         if not x[0] <= at <= x[-1]:
-            given, first, *_, last = plain([at, *x.tolist()])
-            raise SweepError(f"{over} = {given} is beyond the points, which go from {first} to {last}")
+            wanted, first, *_, last = plain([at, *x.tolist()])
+            raise SweepError(f"{over} = {wanted} is beyond the points, which go from {first} to {last}")
         i = min(max(int(np.searchsorted(x, at)) - 1, 0), len(x) - 2)
         u, spread, logarithm = _pair(line, i)
         *_, z = scale = on_scale(np.append(x, at), made.over_unit)

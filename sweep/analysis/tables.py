@@ -78,8 +78,8 @@ def records(dataset: xr.Dataset) -> Table:
         units = {str(n): unit for n, v in dataset.variables.items() if (unit := formatting.units_of(v.attrs))}
         return Table(list(columns.values()), about={**dataset.attrs, "notes": notes(dataset), "units": units})
     dims = {name: quantity.own_dimensions(dataset, name) for name in quantity.array_outputs(dataset)}
-    along = {dim: quantity.listed(dataset, dim, [dim]) for own in dims.values() for dim in own}
-    arrays = {name: {"dims": own, "coordinates": {dim: along[dim] for dim in own}} for name, own in dims.items()}
+    along = {dim: quantity.listed(dataset, dim, [dim]) for some in dims.values() for dim in some}
+    arrays = {name: {"dims": some, "coordinates": {dim: along[dim] for dim in some}} for name, some in dims.items()}
     units = {column.name: column.unit for column in columns.values()}
     units |= {dim: formatting.units_of(dataset[dim].attrs) for dim in along}
     meta = {name: dataset.attrs.get(name, "") for name in ("title", "study_digest")}

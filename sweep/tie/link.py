@@ -594,8 +594,8 @@ def forecast(satellite: str | Path, reference: str | Path, unknowns: str | None 
         _ = goals.parts  # raises for an unknown block
         future, old, further = released(problem, plan.release, plan.from_release, asked.epoch is None)
         variables, coordinates = _planned(setup, future, plan.release, add, plan.error * MAS, plan.number, goals)
-    except ValueError as problem_found:
-        raise SweepError(str(problem_found)) from problem_found
+    except ValueError as error:
+        raise SweepError(str(error)) from error
     attributes = {
         "result": "forecast",
         "epoch_of_forecast": future.epoch,
