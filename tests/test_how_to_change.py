@@ -59,7 +59,7 @@ KNOWN = {**KNOWN, "south": lambda asked: Block("south", ("south_dec",), (1,), Fa
 WORST = """
 OUTPUTS = (*OUTPUTS, Output("sigma_worst", _EACH, "largest RMS error of a component"))
 """
-IN_THE_SUMMARY = ('"sigma": np.sqrt(variance),', '"sigma_worst": np.sqrt(variance).max(axis=1),')
+IN_THE_SUMMARY = ('"chi2": sums["chi2"] / n,', '"sigma_worst": np.sqrt(variance[:, ALWAYS]).max(axis=1),')
 DOTS = """
 from matplotlib.figure import Figure
 from linksweep.sweep.plots import GridFigure
