@@ -10,7 +10,7 @@ from linksweep.core.parameters import OUTPUTS, PARAMETERS, SAMPLE_OUTPUTS, SHARE
 from linksweep.core.scenario import catalogue_kind, catalogue_size, error_models, scenario, zonal_errors
 from linksweep.core.simulate import Streams, can_stack, simulate, simulate_stack
 from linksweep.core.unknowns import ALWAYS, GLIDE, GLIDE_LABELS, LABELS, ORIENTATION, SPIN, link_unknowns
-from linksweep.sweep.contract import Experiment, Point, small_sample_factor
+from linksweep.sweep.contract import Experiment, Point, enlarged_error, small_sample_factor
 
 ALL = (*LABELS, *GLIDE_LABELS)
 
@@ -204,8 +204,7 @@ def _error_of_mean(
 def _catalogue_error(expected: Array, powers: Array, n_cat: Array) -> Array:
     """Return how uncertain sqrt(mean square error) is because only n_cat catalogues were drawn; NaN for too few.
 
-    Few catalogues of a skewed law look too much alike: the error is enlarged as that of a mean of numbers, see
-    `linksweep.sweep.functions.statistics.statistic`.
+    It is enlarged as that of a mean of numbers: few catalogues of a skewed law look too much alike.
     """
     squares, cubes = powers[:, 0], powers[:, 1]
     variance = np.maximum(squares - expected**2, 0.0)
@@ -213,7 +212,7 @@ def _catalogue_error(expected: Array, powers: Array, n_cat: Array) -> Array:
     with np.errstate(invalid="ignore", divide="ignore"):
         # squared, over their number, which is at most 1
         skewness = np.where(variance > 0.0, np.minimum((third / variance**1.5) ** 2 / n_cat, 1.0), 0.0)
-        error = np.sqrt(variance / (n_cat - 1.0) * small_sample_factor(n_cat) * (1.0 + 6.0 * skewness))
+        error = enlarged_error(variance / (n_cat - 1.0), n_cat, skewness)
         return np.where(expected > 0.0, error / (2.0 * np.sqrt(expected)), 0.0 * expected)
 
 

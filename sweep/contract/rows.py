@@ -138,6 +138,13 @@ def small_sample_factor(samples: ArrayLike) -> Array:
     return np.where(count >= FEWEST_SAMPLES, factor, np.nan)
 
 
+def enlarged_error(square: Array, samples: ArrayLike, skewness: Array) -> Array:
+    """Return the error of a mean from its ``square``, as the scatter of so many samples gives it, enlarged where few
+    look too much alike: by the small-sample factor, and by their ``skewness``, squared and over their number.
+    """
+    return np.asarray(np.sqrt(square * small_sample_factor(samples) * (1.0 + 6.0 * skewness)))
+
+
 def p_value(chi2: float, dof: int, samples: float = np.inf) -> float:
     """Return the probability of a chi2 at least as large by chance; NaN without degrees of freedom.
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.sweep.contract import Array, Outcome, Output, ResultError, Rows, shown, suggest
-from linksweep.sweep.contract.rows import FEWEST_SAMPLES, Reducer, small_sample_factor
+from linksweep.sweep.contract.rows import FEWEST_SAMPLES, Reducer, enlarged_error
 from linksweep.sweep.functions.results import NUMBERS, Field, Layout, as_row, layout_differences
 
 MOMENTS = 6
@@ -139,7 +139,7 @@ def statistic(name: str, field: Field, moments: Array, n: Array) -> tuple[Array,
         std = np.sqrt(variance)
         if name == "mean":
             value, of_two = mean, of_share
-            error = np.sqrt(variance / count * small_sample_factor(count) * (1.0 + 6.0 * skewness))
+            error = enlarged_error(variance / count, count, skewness)
         else:
             value, of_two = std, _of_two_values(share, of_share, std / extent)
             error = std * _relative(moments, n)

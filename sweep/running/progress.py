@@ -127,13 +127,17 @@ class FailureCount:
     @property
     def done(self) -> int:
         """How many points are done."""
-        return self._before + self.ended - self._failed_before - self.failed_here
+        return self._before + self.ended - self.failed
+
+    @property
+    def failed(self) -> int:
+        """How many points have failed."""
+        return self._failed_before + self.failed_here
 
     @property
     def failed_in_words(self) -> str:
         """How many points have failed, '' for none."""
-        failed = self._failed_before + self.failed_here
-        return f"{failed:,} failed" if failed else ""
+        return f"{self.failed:,} failed" if self.failed else ""
 
     @property
     def failed_here(self) -> int:
@@ -391,7 +395,7 @@ class TerminalProgress:
         self._begun = self._shown = time.monotonic()
         self._eta = Eta(pending.cost, workers)
         self._count = FailureCount(self._study, total.points, total.points - pending.points, survey.failed)
-        self._failures = survey.failed
+        self._failures = self._count.failed
         self._write("started", points=total.points, done=self._count.done, failed=survey.failed, where=where)
         self._work = pending.cost
         kept = f", {self._count.done:,} of them in the store already" if self._count.done else ""
@@ -430,7 +434,7 @@ class TerminalProgress:
             for line in said.printed.splitlines():
                 RECORD.info("%s: printed: %s", place, line)
         failed = sum(point.index in taken.failed for point in taken.ended)
-        self._failures += failed
+        self._failures = self._count.failed
         self._write("points", done=len(taken.ended) - failed, failed=failed, realisations=taken.done.realisations)
         for point in taken.ended if taken.failed or SENTENCES.isEnabledFor(logging.DEBUG) else ():
             place = describe(self._study, point.parameters)

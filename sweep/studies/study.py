@@ -869,6 +869,7 @@ class Study:
             **({} if self.points is None else {"points": self.points.names}),
             **({"labels": self.points.labels} if self.points is not None and self.points.labels else {}),
             **({"counts": self.counts} if self.counts else {}),
+            # copies, which have fields alone: no values that were cached
             "exclude": [[vars(replace(c)) for c in clause] for clause in self.excluded],
         }
         return hashlib.sha256(json.dumps(whole, sort_keys=True, default=content_digest).encode()).hexdigest()
