@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from linksweep.core.catalogues import Sky
 from linksweep.core.frames import ARCSEC, DEGREE, GALACTIC_AXES, MAS, position
-from linksweep.sweep.search.crossmatch import Positions, at_epoch
+from linksweep.sweep.search.search import Positions, at_epoch
 
 Array = NDArray[np.float64]
 

@@ -15,8 +15,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from linksweep.core.frames import Array, along, triad
-from linksweep.core.link import OBSERVABLES
+from linksweep.core.frames import OBSERVABLES, Array, along, triad
 
 Kind = Literal["t", "s"]
 KINDS: tuple[Kind, Kind] = ("t", "s")

@@ -32,7 +32,8 @@ def _vector(name: str, size: float, meaning: str, unit: str, largest: float) -> 
     return Parameter(name, "vector", (size, size, size), meaning, unit, (), -largest, largest)
 
 
-def _choice(name: str, choices: Iterable[str], default: str | None, meaning: str) -> Parameter:
+def choice(name: str, choices: Iterable[str], default: str | None, meaning: str) -> Parameter:
+    """Declare one of some words."""
     return Parameter(name, "str", default, meaning, choices=tuple(choices))
 
 
@@ -43,7 +44,7 @@ def _error_models(side: str) -> list[str]:
 ONLY_DIRECTION, SLOPE = "which then gives the direction only", r"$|\mathrm{d}\omega/\mathrm{d}V|$"
 PARAMETERS = (
     # step A: the reference catalogue
-    _choice("catalogue", CATALOGUES, "synthetic", "reference catalogue (step A)"),
+    choice("catalogue", CATALOGUES, "synthetic", "reference catalogue (step A)"),
     Parameter(
         *("n_obj", "int", None),
         "number of objects; default: all quasars or rows brighter than v_max, 116 galaxies, 11 radio stars",
@@ -59,13 +60,13 @@ PARAMETERS = (
         *("v_min", None, "brightest magnitude V; default: synthetic 5, else none"),
         *("mag", MAGNITUDES, r"$V_\mathrm{min}$"),
     ),
-    _choice(
+    choice(
         *("counts", ("catalogue", "completed"), "catalogue"),
         "number of quasars: of the paper's catalogue, or completed to the full sky",
     ),
     _number("mean_pm", 0.0, "mean modulus of synthetic proper motions", PM, AT_LEAST_0, r"$\overline{\mu}$"),
-    _choice("pm_distribution", ("uniform", "constant", "rayleigh"), "uniform", "distribution of that modulus"),
-    _choice(
+    choice("pm_distribution", ("uniform", "constant", "rayleigh"), "uniform", "distribution of that modulus"),
+    choice(
         *("positions", ("own", "isotropic"), None),
         "radio stars, file: own positions or random ones; default: radio stars random, file own",
     ),
@@ -87,8 +88,8 @@ PARAMETERS = (
         "whether pmra of the file includes cos(dec) (its error always does); needed unless the file is Gaia's",
     ),
     # steps C and D: errors
-    _choice("satellite_errors", _error_models("satellite"), "magnitude", "error model of the satellite (step D)"),
-    _choice("reference_errors", _error_models("reference"), "none", "error model of the reference (step C)"),
+    choice("satellite_errors", _error_models("satellite"), "magnitude", "error model of the satellite (step D)"),
+    choice("reference_errors", _error_models("reference"), "none", "error model of the reference (step C)"),
     Parameter(
         *("model", "str", "amex", "mission whose accuracy curve gives the 'magnitude' errors"),
         choices=tuple(MISSIONS),
@@ -114,7 +115,7 @@ PARAMETERS = (
         _number(f"{name}_size", None, f"length of {name}, {ONLY_DIRECTION}", unit, (0.0, 1e8), rf"$|\{name}|$")
         for name, unit in (("epsilon", "mas"), ("omega", PM))
     ),
-    _choice(
+    choice(
         *("directions", ("fixed", "random"), "fixed"),
         "directions of epsilon and omega: as given, or random for each catalogue",
     ),
@@ -157,15 +158,15 @@ PARAMETERS = (
     # step E: the solution
     Parameter("solve_glide", "bool", False, "solve for a glide too"),
     Parameter("corrections", "bool", True, "keep the A21 terms in the design matrix"),
-    _choice(
+    choice(
         *("weighting", ("inverse-variance", "equal"), "inverse-variance"),
         "weights of the solution: 1/(sigma_ref^2 + sigma_sat^2), or all equal",
     ),
-    _choice(
+    choice(
         *("arithmetic", ("exact", "stored"), "exact"),
         "differences of catalogues: exact, or by subtracting stored angles as in the paper",
     ),
-    _choice(
+    choice(
         *("method", ("catalogue", "projected"), "catalogue"),
         "what is drawn: the errors of every object, or (projected) their effect on the link, at a cost without n_obj",
     ),
@@ -205,7 +206,7 @@ _SIGMA = {
 }
 
 
-def _with(
+def with_beside(
     beside: Mapping[str, str], name: str, unit: str, meaning: str, dims: tuple[str, ...] = (), **more: Any
 ) -> list[Output]:
     """Declare a result that may be NaN, with what stands beside it."""
@@ -215,17 +216,17 @@ def _with(
 
 OUTPUTS = (
     Output("n_obj", "", "number of objects in the catalogue (mean over catalogues)", (), True, r"$N_\mathrm{obj}$"),
-    *_with(
+    *with_beside(
         *(_SIGMA, "sigma_spin", PM, "RMS error of the spin, over its components"),
         headline=True,
         symbol=r"$\sigma(\omega)$",
     ),
-    *_with(
+    *with_beside(
         *(_SIGMA, "sigma_orientation", "mas", "RMS error of the orientation, over its components"),
         symbol=r"$\sigma(\epsilon)$",
     ),
-    *_with(_SIGMA, "sigma", _EACH, "RMS of estimate - truth", _COMPONENT),
-    *_with(_BIAS, "bias", _EACH, "mean of estimate - truth", _COMPONENT),
+    *with_beside(_SIGMA, "sigma", _EACH, "RMS of estimate - truth", _COMPONENT),
+    *with_beside(_BIAS, "bias", _EACH, "mean of estimate - truth", _COMPONENT),
     Output("covariance", _PRODUCTS, "covariance of the estimates about their mean", _PAIR, nan=True),
     Output("correlation", "", "correlation of the estimates about their mean", _PAIR, nan=True),
     Output("condition_number", "", "condition of the normal matrix scaled to a diagonal of 1 (mean over catalogues)"),
@@ -233,8 +234,8 @@ OUTPUTS = (
     Output("chi2", "", "mean chi2 of the solution; dof if weights are those of uncorrelated errors"),
     Output("chi2_mc_error", "", f"Monte-Carlo error of chi2{_OF_MEANS}", nan=True),
     Output("dof", "", "degrees of freedom of chi2 (mean over catalogues)"),
-    *_with(_SIGMA, "glide_sigma", PM, "RMS of estimate - truth of a glide that was solved for", _GLIDE),
-    *_with(_BIAS, "glide_bias", PM, "mean of estimate - truth of a glide that was solved for", _GLIDE),
+    *with_beside(_SIGMA, "glide_sigma", PM, "RMS of estimate - truth of a glide that was solved for", _GLIDE),
+    *with_beside(_BIAS, "glide_bias", PM, "mean of estimate - truth of a glide that was solved for", _GLIDE),
 )
 
 _ESTIMATE = "estimate of each realisation, where a study keeps them; estimate - truth where directions are random"

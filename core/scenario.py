@@ -11,8 +11,7 @@ import numpy as np
 from linksweep.core.catalogues import CATALOGUES, SIDES, CatalogueKind, NestedDraw
 from linksweep.core.errors import ErrorModel, error_model
 from linksweep.core.fields import Pattern, Systematics, Vector, ZonalErrors, parse_pattern, rms
-from linksweep.core.frames import DEGREE, GALACTIC_AXES, MAS, MICROARCSEC, Array
-from linksweep.core.link import Weighting
+from linksweep.core.frames import DEGREE, GALACTIC_AXES, MAS, MICROARCSEC, Array, Weighting
 from linksweep.sweep.contract import Point
 
 GALACTIC_GLIDE_UAS_YR = 4.0

@@ -21,10 +21,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from linksweep.core import frames
 from linksweep.core.catalogues import Catalogue
 from linksweep.core.fields import Field
-from linksweep.core.frames import Array, Stack, along, exact_differences, stored_differences
-from linksweep.core.link import OBSERVABLES, UnlikeError, combined_error, measured
+from linksweep.core.frames import OBSERVABLES, Array, Stack, UnlikeError, along
 from linksweep.core.scenario import Scenario
 from linksweep.core.unknowns import ORIENTATION, SPIN, Objects
 
@@ -277,11 +277,11 @@ def prepare(scenario: Scenario, catalogue: Catalogue, vectors: Array, shared: Pr
         have_errors = np.any(side.stated.reshape(*stack, -1), axis=-1)
         if np.any(have_errors) != np.all(have_errors):
             raise UnlikeError("some of the catalogues have no errors")
+    stated = reference.stated, satellite.stated
     if np.all(satellite.stated > 0.0):  # then the result of an object depends on no other one
-        sigma = shared.once("combined errors", combined_error, reference.stated, satellite.stated)
-        kinds = True, True
+        sigma, kinds = shared.once("combined errors", frames.combined_error, *stated), (True, True)
     else:
-        sigma, kinds = combined_error(reference.stated, satellite.stated), measured(reference.stated + satellite.stated)
+        sigma, kinds = frames.combined_error(*stated), frames.measured(np.add(*stated))
     glide = [-np.array(scenario.aberration)] if scenario.solve_glide else []
     return Setup(
         scenario=scenario,
@@ -323,9 +323,9 @@ def _differences(scenario: Scenario, catalogue: Catalogue, vectors: Array, share
         for part, here in shared.objects(ra, dec, pmra, pmdec):
             observed = here.ra, here.dec, here.pmra, here.pmdec
             if scenario.arithmetic == "exact":
-                differences[part] = exact_differences(*observed, epsilon, omega, here.triad).T
+                differences[part] = frames.exact_differences(*observed, epsilon, omega, here.triad).T
             else:
-                differences[part] = stored_differences(*observed, epsilon, omega).T
+                differences[part] = frames.stored_differences(*observed, epsilon, omega).T
             if np.any(glide):
                 differences[part, 2] -= along(glide, here.triad.p)  # minus: the glide is in the satellite's motions
                 differences[part, 3] -= along(glide, here.triad.q)

@@ -8,10 +8,8 @@ from typing import Any, TypeVar, cast
 import numpy as np
 
 from linksweep.core.catalogues import Catalogue
-from linksweep.core.fixed_design import FixedDesign, Projected, Solved, fixed_designs
-from linksweep.core.frames import MAS, Array, Stack
-from linksweep.core.link import LinkError
-from linksweep.core.noisy_design import NoisyDesign
+from linksweep.core.designs import FixedDesign, NoisyDesign, Projected, Solved, fixed_designs
+from linksweep.core.frames import MAS, Array, LinkError, Stack
 from linksweep.core.scenario import Scenario
 from linksweep.core.setup import ROWS, Prefixes, SharedSums, prepare, tiles
 from linksweep.core.unknowns import ALWAYS, GLIDE, ORIENTATION, SPIN

@@ -9,13 +9,13 @@ import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from linksweep.core.fields import HIGHEST_DEGREE, KINDS, Kind, fill_toroidal, terms, turned
-from linksweep.core.frames import Array, Indices, Triad, triad
-from linksweep.core.link import require_off_poles
+from linksweep.core.frames import Array, Indices, Triad, require_off_poles, triad
 
 RA, DEC, PARALLAX, PMRA, PMDEC = range(5)
 PARAMETERS = ("ra", "dec", "parallax", "pmra", "pmdec")
@@ -172,23 +172,16 @@ class SpinByBin(Block):
     column: str
     edges: tuple[float, ...]
     used: tuple[int, ...]
-
-    @property
-    def bins(self) -> tuple[tuple[float, float], ...]:
-        """The limits of the bins that are used."""
-        return _limits(self.edges, self.used)
+    bins: tuple[tuple[float, float], ...]
+    """The limits of the bins that are used."""
 
 
 def spin_by_bin(column: str, edges: tuple[float, ...], used: tuple[int, ...]) -> SpinByBin:
     """Return the spins of some of the bins that edges make."""
-    labels = (f"{label}[{low:g},{high:g})" for low, high in _limits(edges, used) for label in spin_block().labels)
-    derivatives = partial(_in_bins, column, edges, used)
-    return SpinByBin("spin", tuple(labels), MOTION, True, derivatives, column, edges, used)
-
-
-def _limits(edges: tuple[float, ...], used: tuple[int, ...]) -> tuple[tuple[float, float], ...]:
-    limits = (-np.inf, *edges, np.inf)
-    return tuple((limits[b], limits[b + 1]) for b in used)
+    limits = list(pairwise((-np.inf, *edges, np.inf)))
+    bins = tuple(limits[b] for b in used)
+    labels = tuple(f"{label}[{low:g},{high:g})" for low, high in bins for label in spin_block().labels)
+    return SpinByBin("spin", labels, MOTION, True, partial(_in_bins, column, edges, used), column, edges, used, bins)
 
 
 def _in_bins(column: str, edges: tuple[float, ...], used: tuple[int, ...], objects: Objects) -> Array:
@@ -300,7 +293,7 @@ Bins = tuple[str, Sequence[float]]
 
 
 class Asked(NamedTuple):
-    """A block of a line as it is written, its name, degrees and the names beside it; bins, columns and corrections."""
+    """A block of a line as it is written, its name, degrees and the names beside it; bins and columns."""
 
     written: str
     name: str
@@ -308,11 +301,10 @@ class Asked(NamedTuple):
     beside: Sequence[str]
     bins: Bins | None
     columns: Mapping[str, Array]
-    corrections: bool
 
 
 KNOWN: dict[str, Callable[[Asked], Block]] = {
-    "orientation": lambda asked: link_unknowns(corrections=asked.corrections).blocks[0],
+    "orientation": lambda asked: link_unknowns().blocks[0],
     "position_glide": lambda asked: Block("position_glide", _xyz("position_glide"), POSITION, False, flow),
     "spin": lambda asked: spin_block() if asked.bins is None else _spin_by_bin(*asked.bins, asked.columns),
     "glide": lambda asked: glide_block(),
@@ -329,7 +321,6 @@ def parse_unknowns(
     text: str,
     bins: Bins | None = None,
     columns: Mapping[str, Array] | None = None,
-    corrections: bool = True,
     missions: Sequence[str] = (),
 ) -> Unknowns:
     """Return the blocks of a line like ``orientation,spin,vsh_motion:3``.
@@ -343,10 +334,10 @@ def parse_unknowns(
     if not names:
         raise ValueError(f"no unknowns; known are {', '.join(KNOWN)}")
     plain = [name for name in names if name.partition(":")[0] not in missions]
-    blocks = _blocks(plain, bins, columns or {}, corrections)
+    blocks = _blocks(plain, bins, columns or {})
     for number, mission in enumerate(missions, 1):
         inside = [name.partition(":")[2] for name in names if name.partition(":")[0] == mission]
-        for block in _blocks(inside, None, {}, corrections):
+        for block in _blocks(inside, None, {}):
             labels = tuple(f"{mission}:{label}" for label in block.labels)
             rows = tuple(len(PARAMETERS) * number + row for row in block.rows)
             blocks.append(Block(f"{mission}:{block.name}", labels, rows, block.rate, block.derivatives))
@@ -364,7 +355,7 @@ def require_mission_name(name: str) -> None:
         )
 
 
-def _blocks(names: Sequence[str], bins: Bins | None, columns: Mapping[str, Array], corrections: bool) -> list[Block]:
+def _blocks(names: Sequence[str], bins: Bins | None, columns: Mapping[str, Array]) -> list[Block]:
     """Return the blocks of one frame."""
     plain, blocks = [name.partition(":")[0] for name in names], []
     if len(set(plain)) < len(plain):
@@ -374,7 +365,7 @@ def _blocks(names: Sequence[str], bins: Bins | None, columns: Mapping[str, Array
         make = KNOWN.get(f"{name}:L") or (None if degrees else KNOWN.get(name))
         if make is None:
             raise ValueError(f"unknowns {written!r} are not known; known are {', '.join(KNOWN)}")
-        blocks.append(make(Asked(written, name, degrees, plain, bins, columns, corrections)))
+        blocks.append(make(Asked(written, name, degrees, plain, bins, columns)))
     return blocks
 
 

@@ -21,8 +21,7 @@ from scipy import optimize
 
 from linksweep.core import catalogues
 from linksweep.core.catalogues import Sky
-from linksweep.core.frames import MAS, Array, triad
-from linksweep.core.link import Weighting
+from linksweep.core.frames import MAS, Array, Weighting, triad
 from linksweep.core.missions import CALIBRATED, Curve, Exponentials
 
 Model = Literal["amex", "gaia"]

@@ -9,8 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from linksweep.core.frames import Array, Indices
-from linksweep.core.link import LinkError
+from linksweep.core.frames import Array, Indices, LinkError
 from linksweep.core.tie.astrometry import Astrometry, Differences, joined
 from linksweep.core.tie.problem import KeptSources, NormalSums, Problem, add_separations, covariance_of, eliminate
 from linksweep.core.unknowns import Unknowns

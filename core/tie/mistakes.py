@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtr, chdtrc, chdtri
 
-from linksweep.core.frames import MAS, Array, Flags, Indices
-from linksweep.core.link import LinkError
+from linksweep.core.frames import MAS, Array, Flags, Indices, LinkError
 from linksweep.core.tie.astrometry import HALF_SPAN, PAIRS, Astrometry, by_errors, kinds
 from linksweep.core.tie.problem import NormalSums, Problem, Solution, discrepancies, solve, source_sums
 from linksweep.core.unknowns import POSITION, Block, Objects, Unknowns

@@ -18,8 +18,7 @@ import numpy as np
 from scipy.optimize import Bounds, minimize
 from scipy.special import ndtr, stdtrit
 
-from linksweep.core.frames import MAS, Array, Flags
-from linksweep.core.link import LinkError
+from linksweep.core.frames import MAS, Array, Flags, LinkError
 from linksweep.core.tie.astrometry import kinds, with_variance
 from linksweep.core.tie.problem import KEPT_NUMBERS, Problem, Solution, inverted
 

@@ -23,8 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from linksweep.core.frames import MAS, Array, Flags, Indices
-from linksweep.core.link import SMALLEST_EIGENVALUE, LinkError
+from linksweep.core.frames import MAS, SMALLEST_EIGENVALUE, Array, Flags, Indices, LinkError
 from linksweep.core.tie.astrometry import PAIRS, Astrometry, Differences, differences, offsets, positive_definite
 from linksweep.core.unknowns import Objects, Unknowns
 

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from linksweep.core.frames import DEGREE, Array, Flags, Indices
-from linksweep.core.link import LinkError
+from linksweep.core.frames import DEGREE, Array, Flags, Indices, LinkError
 from linksweep.core.tie import astrometry
 from linksweep.core.tie.astrometry import FURTHER, Astrometry, Differences, differences
 from linksweep.core.tie.mistakes import EXCESS, LARGER, SMALLER, Cause, Misfit, best_shift, explains, likely

@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from astropy.units import Unit
 
-from linksweep.core.frames import MAS, Array, Flags, Indices
-from linksweep.core.link import LinkError
+from linksweep.core.frames import MAS, Array, Flags, Indices, LinkError
 from linksweep.core.tie.astrometry import DAYS_PER_YEAR
 from linksweep.core.tie.mistakes import Misfit
 from linksweep.core.tie.problem import Problem, Solution

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from linksweep.core.frames import MAS, Array
+from linksweep.core.parameters import choice, with_beside
 from linksweep.core.tie import forecast
 from linksweep.core.tie.noise import noises
 from linksweep.core.tie.problem import Clip, KeptSources, Problem, Solution, clipped, parse_clip, solve, source_sums
@@ -36,10 +37,6 @@ MOST_BINS = 10
 POWER_SHAPE, BIN_SHAPE = (len(FIELDS), HIGHEST_STORED), (MOST_BINS, 3)
 
 
-def _one_of(name: str, meaning: str, *choices: str) -> Parameter:
-    return Parameter(name, "str", choices[0], meaning, choices=choices)
-
-
 # Results have the sign of the command's default, and the rows without a reference determine nothing.
 OF_TABLES = tuple(parameter(one) for one in declared(STUDY, Options))
 PARAMETERS = (
@@ -56,9 +53,9 @@ PARAMETERS = (
     Parameter("n_new", "int", 0, "sources with one new position, those that help most", minimum=0),
     replace(DECLARED["epoch"], name="new_epoch", meaning="of new positions; default that of the source"),
     Parameter("new_error", "float", 0.1, "of each coordinate of a new position", "mas", above=0.0),
-    _one_of("new_positions", "of new rows: displaced by the parallax, or mean ones", *POSITIONS),
-    _one_of("candidates", "for new positions: sources with rows, or all of the satellite's", "matched", "all"),
-    _one_of("truth", "of the draws: the solution of the tables, or zero", "estimate", "zero"),
+    choice("new_positions", POSITIONS, POSITIONS[0], "of new rows: displaced by the parallax, or mean ones"),
+    choice("candidates", ("matched", "all"), "matched", "for new positions: sources with rows, or all the satellite's"),
+    choice("truth", ("estimate", "zero"), "estimate", "of the draws: the solution of the tables, or zero"),
     Parameter("error_factor", "float", 1.0, "errors of the draws over those of the tables", above=0.0),
     Parameter("outliers", "float", 0.0, "fraction of sources of a draw with larger errors", minimum=0.0, maximum=1.0),
     Parameter("outlier_factor", "float", 10.0, "how much larger they are", minimum=1.0),
@@ -68,17 +65,8 @@ _UNITS, _SQUARES = ", ".join(UNITS), ", ".join(FIELD_UNITS)
 _EACH, _RATIO = ("component",), ("unknown",)  # units differ along the first only
 _POWER, _CHANCE = ("field", "power_degree"), ("field_tested", "power_degree")
 _BIN = ("bin", "axis")
-
-
-def _drawn(
-    name: str, unit: str, meaning: str, dims: tuple[str, ...] = (), predicted: bool = True, **further: Any
-) -> list[Output]:
-    """Declare a result of the draws, its Monte-Carlo error and, where there is one, its closed form."""
-    beside = {"mc_error": "its Monte-Carlo error"} | ({"predicted": "closed form without a clip"} if predicted else {})
-    return [
-        Output(name, unit, meaning, dims, nan=True, **further),
-        *(Output(f"{name}_{key}", unit, text, dims, nan=True) for key, text in beside.items()),
-    ]
+_DRAWN = {"mc_error": "its Monte-Carlo error"}
+_PREDICTED = _DRAWN | {"predicted": "closed form without a clip"}
 
 
 def _fixed(name: str, unit: str, meaning: str, dims: tuple[str, ...] = (), *errors: str) -> Output:
@@ -109,22 +97,24 @@ OF_TABLES_ALONE = (
 )
 OUTPUTS = (
     *OF_TABLES_ALONE,
-    *_drawn("sigma", _UNITS, _RMS, _EACH),
-    *_drawn("bias", _UNITS, "mean of estimate - truth of the draws", _EACH, False),
-    *_drawn("coverage", "", f"fraction of draws within their formal {_WITHIN}", _RATIO, False),
-    *_drawn("coverage_scaled", "", f"fraction of draws within their scaled {_WITHIN}", _RATIO, False),
-    *_drawn(
-        *("sigma_orientation", "mas", "RMS error of the orientation, over draws and axes"),
+    *with_beside(_PREDICTED, "sigma", _UNITS, _RMS, _EACH),
+    *with_beside(_DRAWN, "bias", _UNITS, "mean of estimate - truth of the draws", _EACH),
+    *with_beside(_DRAWN, "coverage", "", f"fraction of draws within their formal {_WITHIN}", _RATIO),
+    *with_beside(_DRAWN, "coverage_scaled", "", f"fraction of draws within their scaled {_WITHIN}", _RATIO),
+    *with_beside(
+        *(_PREDICTED, "sigma_orientation", "mas", "RMS error of the orientation, over draws and axes"),
         headline=True,
         symbol=r"$\sigma_\epsilon$",
     ),
-    *_drawn(
-        "sigma_spin", "mas/yr", "RMS error of the spin, over draws and axes", headline=True, symbol=r"$\sigma_\omega$"
+    *with_beside(
+        *(_PREDICTED, "sigma_spin", "mas/yr", "RMS error of the spin, over draws and axes"),
+        headline=True,
+        symbol=r"$\sigma_\omega$",
     ),
-    *_drawn("power_drawn", _SQUARES, "mean power of estimate - truth of the draws", _POWER),
-    *_drawn("sigma_by_bin", "mas/yr", _RMS, _BIN),
+    *with_beside(_PREDICTED, "power_drawn", _SQUARES, "mean power of estimate - truth of the draws", _POWER),
+    *with_beside(_PREDICTED, "sigma_by_bin", "mas/yr", _RMS, _BIN),
     Output("n_kept_drawn", "", "mean number of these that the clip keeps"),
-    *_drawn("chi2_ratio_drawn", "", "mean of chi2 over its average, of the draws", predicted=False),
+    *with_beside(_DRAWN, "chi2_ratio_drawn", "", "mean of chi2 over its average, of the draws"),
 )
 
 SAMPLE_OUTPUTS = (Output("drawn", "", "estimate of a draw, reference - satellite", _EACH, nan=True),)

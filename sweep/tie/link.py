@@ -3,7 +3,7 @@ further observations would do to it, and which sources to observe; `apply`: a ta
 """
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,8 +14,7 @@ from astropy.units import Unit
 from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
 
-from linksweep.core.frames import DEGREE, MAS, Array, position, triad
-from linksweep.core.link import LinkError
+from linksweep.core.frames import DEGREE, MAS, Array, LinkError, position, triad
 from linksweep.core.tie import forecast as planning, mistakes, problem as solving
 from linksweep.core.tie.astrometry import ALL_PAIRS, Astrometry, kinds, named_rows
 from linksweep.core.tie.noise import ESTIMATE, Noise, estimated, noises
@@ -382,10 +381,8 @@ def as_dataset(link: Link, options: Options, per_source: bool = True) -> "xr.Dat
         correlation = covariance[0] / np.outer(errors[0], errors[0])
     both = ("unknown", "unknown_other")
     variables: dict[str, Any] = {
-        "unknown": ("unknown", list(unknowns.labels)),
+        **_labels(unknowns),
         "unknown_other": ("unknown_other", list(unknowns.labels)),
-        "unit": ("unknown", list(unknowns.units)),
-        "block": ("unknown", [b.name for b in unknowns.blocks for _ in b.labels]),
         "error_kind": ("error_kind", list(link.covariances)),
         "estimate": ("unknown", sign * solved.estimate / MAS, {"long_name": f"{options.sign}", "sign": options.sign}),
         "error": ("unknown", errors[0], {"kind": main}),
@@ -583,26 +580,59 @@ def forecast(satellite: str | Path, reference: str | Path, unknowns: str | None 
     """
     plan = ForecastOptions.named(FORECAST, options, Options)
     asked = Options.named(FORECAST, {"unknowns": unknowns, **options}, ForecastOptions)
-    goal = tuple(listed(plan.goal))
-    add = _epochs(plan)
+    try:
+        add = [DECLARED["epoch"].parse(number(year)) for year in listed(plan.add)]
+    except ValueError as error:
+        raise SweepError(f"add: {error}") from None
+    if plan.number and not add:
+        raise SweepError(f"{plan.number} sources to choose, but no epochs to observe them at")
     if ESTIMATE in asked.jitter:
         raise SweepError("a forecast uses no measured values: sweep tie --jitter estimate says how large a jitter is")
     setup = set_up(satellite, reference, asked, plan.all_sources)
     problem = setup.problem
-    goals = planning.Goal(problem.unknowns, goal, plan.criterion)
+    goal = planning.Goal(problem.unknowns, tuple(listed(plan.goal)), plan.criterion)
     try:
-        _ = goals.parts  # raises for an unknown block
+        _ = goal.parts  # raises for an unknown block
         future, old, further = released(problem, plan.release, plan.from_release, asked.epoch is None)
-        variables, coordinates = _planned(setup, future, plan.release, add, plan.error * MAS, plan.number, goals)
+
+        def observed(*epochs: float) -> solving.NormalSums:
+            """Return the sums of each source with new positions at some epochs."""
+            return solving.source_sums(planning.with_new_rows(future, epochs, plan.error * MAS))
+
+        base = solving.source_sums(future)
+        planned = observed(*add) if add else base
+        sources, steps = planning.choose(base, planned, plan.number, goal)
+        total = base.matrices.sum(axis=0)
+        stages = {"now": solving.source_sums(problem).matrices.sum(axis=0)}
+        stages |= {} if plan.release == TABLE else {plan.release: total}
+        stages |= {"all observed": planned.matrices.sum(axis=0)} if add else {}
+        by_epoch = [observed(epoch).matrices.sum(axis=0) for epoch in add]
     except ValueError as error:
         raise SweepError(str(error)) from error
+    gain = [goal.value(total + one) for one in planned.matrices - base.matrices]
+    variables: dict[str, Any] = {
+        "error": (("stage", "unknown"), _errors(stages.values())),
+        "criterion": ("stage", _scaled(map(goal.value, stages.values()), goal)),
+        "criterion_alone": ("source", _scaled(gain, goal), {"long_name": "if this source alone is observed"}),
+        "rank": ("source", np.argsort(np.argsort(gain)) + 1),
+    }
+    coordinates = {"stage": list(stages)} | _labels(problem.unknowns) | {"source": setup.names.astype(str)}
+    if add:
+        coordinates["new_epoch"] = add
+        variables["error_with_epoch"] = (("new_epoch", "unknown"), _errors(by_epoch))
+    if sources:
+        variables |= {
+            "step_source": ("step", np.array(["", *setup.names[sources]]).astype(str)),
+            "step_error": (("step", "unknown"), _errors(steps)),
+            "step_criterion": ("step", _scaled(map(goal.value, steps), goal)),
+        }
     attributes = {
         "result": "forecast",
         "epoch_of_forecast": future.epoch,
         "release": plan.release if old else "",
         "from_release": old,
         "new_error_mas": plan.error,
-        "goal": ", ".join(goal or problem.unknowns.names),
+        "goal": ", ".join(goal.blocks or problem.unknowns.names),
         "criterion": plan.criterion,
         **setup.attributes(),
         "notes": [*further, *setup.notes],
@@ -610,6 +640,15 @@ def forecast(satellite: str | Path, reference: str | Path, unknowns: str | None 
     import xarray as xr
 
     return xr.Dataset(variables, coords=coordinates, attrs=attributes)
+
+
+def _labels(unknowns: Unknowns) -> dict[str, Any]:
+    """Return the coordinates of unknowns."""
+    return {
+        "unknown": ("unknown", list(unknowns.labels)),
+        "unit": ("unknown", list(unknowns.units)),
+        "block": ("unknown", [block.name for block in unknowns.blocks for _ in block.labels]),
+    }
 
 
 def released(
@@ -621,75 +660,20 @@ def released(
     return planning.released(problem, release, None if from_release == TABLE else from_release, epoch_moves)
 
 
-def _epochs(plan: ForecastOptions) -> list[float]:
-    """Return the epochs of new positions; raises SweepError for what is no list of years, and for none to choose."""
-    try:
-        epochs = [DECLARED["epoch"].parse(number(year)) for year in listed(plan.add)]
-    except ValueError as error:
-        raise SweepError(f"add: {error}") from None
-    if plan.number and not epochs:
-        raise SweepError(f"{plan.number} sources to choose, but no epochs to observe them at")
-    return epochs
+def _errors(totals: Iterable[Array]) -> Array:
+    """Return the formal errors of some sums in mas and mas/yr; NaN where these do not determine the unknowns."""
+    errors = []
+    for matrices in totals:
+        try:
+            errors.append(np.sqrt(np.diag(solving.covariance_of(matrices))) / MAS)
+        except LinkError:
+            errors.append(np.full(matrices.shape[-1], np.nan))
+    return np.array(errors)
 
 
-def _planned(
-    setup: Setup,
-    future: solving.Problem,
-    release: str,
-    add: list[float],
-    error: float,
-    number: int,
-    goal: planning.Goal,
-) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the variables and coordinates of the dataset; ``error`` (rad) is that of the new positions."""
-    base = solving.source_sums(future)
-    planned = solving.source_sums(planning.with_new_rows(future, add, error)) if add else base
-    sources, steps = planning.choose(base, planned, number, goal)
-    unknowns, total = setup.problem.unknowns, base.matrices.sum(axis=0)
-    stages = {"now": solving.source_sums(setup.problem).matrices.sum(axis=0)}
-    stages |= {} if release == TABLE else {release: total}
-    stages |= {"all observed": planned.matrices.sum(axis=0)} if add else {}
-    gain = np.array([goal.value(total + one) for one in planned.matrices - base.matrices])
-    variables: dict[str, Any] = {
-        "error": (("stage", "unknown"), np.array([_errors(sums) for sums in stages.values()])),
-        "criterion": ("stage", _scaled([goal.value(sums) for sums in stages.values()], goal)),
-        "criterion_alone": ("source", _scaled(gain, goal), {"long_name": "if this source alone is observed"}),
-        "rank": ("source", np.argsort(np.argsort(gain)) + 1),
-    }
-    if add:
-        observed = (
-            solving.source_sums(planning.with_new_rows(future, [epoch], error)).matrices.sum(axis=0) for epoch in add
-        )
-        errors = np.array([_errors(sums) for sums in observed])
-        variables["error_with_epoch"] = (("new_epoch", "unknown"), errors)
-    if sources:
-        chosen = np.array(["", *setup.names[sources]]).astype(str)
-        variables |= {
-            "step_source": ("step", chosen),
-            "step_error": (("step", "unknown"), np.array([_errors(sums) for sums in steps])),
-            "step_criterion": ("step", _scaled([goal.value(sums) for sums in steps], goal)),
-        }
-    coordinates = {
-        "stage": list(stages),
-        "unknown": list(unknowns.labels),
-        "unit": ("unknown", list(unknowns.units)),
-        "block": ("unknown", [b.name for b in unknowns.blocks for _ in b.labels]),
-        "source": setup.names.astype(str),
-    } | ({"new_epoch": add} if add else {})
-    return variables, coordinates
-
-
-def _errors(matrices: Array) -> Array:
-    """Return formal errors in mas and mas/yr; NaN where the unknowns are not determined."""
-    try:
-        return np.sqrt(np.diag(solving.covariance_of(matrices))) / MAS
-    except LinkError:
-        return np.full(matrices.shape[-1], np.nan)
-
-
-def _scaled(values: Sequence[float] | Array, goal: planning.Goal) -> Array:
+def _scaled(values: Iterable[float], goal: planning.Goal) -> Array:
     """Return a criterion in mas instead of rad: the root of the mean variance, or the log determinant."""
-    numbers, n = np.asarray(values), len(goal.parts)
+    numbers, n = np.array(list(values)), len(goal.parts)
     return np.asarray(np.sqrt(numbers / n) / MAS if goal.criterion == "A" else numbers - 2.0 * n * np.log(MAS))
 
 

@@ -13,8 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from linksweep.core.frames import ARCSEC, DEGREE, GALACTIC_AXES, MAS, Array, Indices, position, triad
-from linksweep.core.link import LinkError
+from linksweep.core.frames import ARCSEC, DEGREE, GALACTIC_AXES, MAS, Array, Indices, LinkError, position, triad
 from linksweep.core.tie import astrometry as core
 from linksweep.core.tie.astrometry import Astrometry, kinds, named_rows
 from linksweep.core.tie.forecast import releases_at

@@ -7,12 +7,11 @@ import numpy as np
 
 from linksweep.core import experiment
 from linksweep.core.catalogues import Catalogue, NestedDraw, OwnErrors
+from linksweep.core.designs import fixed_designs, neglected
 from linksweep.core.errors import CatalogueErrors, MagnitudeErrors, NormalErrors
 from linksweep.core.experiment import link
 from linksweep.core.fields import Field, ZonalErrors, parse_pattern, pattern_field, rms
-from linksweep.core.fixed_design import fixed_designs, neglected
-from linksweep.core.frames import DEGREE, GALACTIC_AXES, MAS, MICROARCSEC, exact_differences, triad
-from linksweep.core.link import LinkError
+from linksweep.core.frames import DEGREE, GALACTIC_AXES, MAS, MICROARCSEC, LinkError, exact_differences, triad
 from linksweep.core.missions import CALIBRATED, MISSIONS, FunctionCurve, Mission, calibrate, mission_from_table
 from linksweep.core.scenario import scenario
 from linksweep.core.setup import ROWS, TILE, Prefixes, prepare

@@ -9,8 +9,9 @@ from astropy.time import Time
 from hypothesis import given, settings, strategies as st
 
 from linksweep.core.frames import ARCSEC, DEGREE, MAS, MICROARCSEC
-from linksweep.sweep.search import crossmatch
-from linksweep.sweep.search.crossmatch import GalaxyCatalogue, Positions, cross_match, pairs_within, sky_tree
+from linksweep.sweep.search import search as crossmatch
+from linksweep.sweep.search.options import SearchOptions
+from linksweep.sweep.search.search import GalaxyCatalogue, Positions, cross_match, pairs_within, sky_tree
 from tests.tiers import examples
 
 
@@ -162,7 +163,9 @@ def test_each_rule_of_the_classes_in_a_search():
     assert matches["n_near"].tolist() == [0, 3, 0, 1, 0]
     np.testing.assert_allclose(matches["n_sigma"], [0, 0, 4, 0, 0], atol=1e-6)
     np.testing.assert_allclose(matches["d_dec"] / ARCSEC, [0, 0, 2, 0, 0], atol=1e-6)  # galaxy - star
-    kinder = cross_match(stars, supplement, [catalogue(galaxies, 5.0)], crossmatch.Rules(4.5, 100.0 * ARCSEC, 3))
+    kinder = cross_match(
+        stars, supplement, [catalogue(galaxies, 5.0)], SearchOptions(k_sigma=4.5, crowding_radius=100.0)
+    )
     assert kinder["class"].tolist() == ["certain", "certain", "certain", "uncertain", "supplement"]
 
 

@@ -1,0 +1,654 @@
+"""The link of a catalogue for many realisations of its errors: with matrix products of unit normals while its design
+matrix is that of the true reference, and with normal equations of its own in each where the reference has errors too.
+
+Fixed design: with the design a (4N, K) and the misclosure m in units of the sigma of the weights, and standardised
+errors z of the satellite (reference - satellite: the sign is minus), the error of the estimate is b - g^T z with the
+gain g (4N, K) and the bias b = g^T m, and the residuals are r - z + a g^T z with r = m - a b.  So chi2 follows from
+a^T z, g^T z, m^T z and z^T z, and g^T z from a^T z, or for equal weights from (sigma^2 a)^T z: the objects enter only
+in products with the columns P = [a, m] or [a, sigma^2 a, m] (4N, C), which nested catalogues with the same errors have
+in common.
+
+The projected method draws these products, not the errors of every object.  With P = Q R, Q of orthonormal columns,
+u = Q^T z are unit normals, P^T z = R^T u, and the squared length of z outside the columns of Q is an independent
+chi-square of 4N - C degrees of freedom.  So C normals and a chi-square have exactly the distribution of 4N normals,
+whatever N.  This needs normal, uncorrelated errors and a fixed design.  Where the reference has errors the design
+changes with them, which is neglected here: `neglected` bounds the effect.
+
+Noisy design: normal equations are added up over objects, for many realisations at once, without their design matrices.
+With sin and cos s, c of ra and S, C of dec (p = (-s, c, 0), q = (-S c, -S s, C), eta = (c, s, 0)/C), the entries of
+q q^T and p p^T are linear in 1 and seven products of these; those of q p^T need five more.  One matrix product with the
+weights of the four observables gives all blocks that proper motions do not enter; the terms A21 take a few sums of
+products.  All is computed in arrays that are used again for the next objects: temporary ones would cost more than the
+arithmetic.
+"""
+
+import math
+from collections.abc import Callable, Hashable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from linksweep.core import frames
+from linksweep.core.frames import Array, LinkError, UnlikeError, product_sum
+from linksweep.core.setup import Noise, Prefixes, Setup, SharedSums, Tile, origin, parts
+from linksweep.core.unknowns import GLIDE, ORIENTATION, SPIN, link_unknowns
+
+Solved = Callable[[], tuple[Array, Array]]
+"""A function that returns, after the last tile, estimate - truth of each realisation of a chunk, (..., K, rows), and
+the sum of their chi2, (...).
+"""
+
+LARGEST_NEGLECT = 0.01
+"""Largest bound of `neglected` that is allowed, as a fraction of sigma.  Where it was tried, the effect was 13 to 75
+times smaller than the bound: below the Monte-Carlo error of a million realisations.
+"""
+
+
+@dataclass(frozen=True)
+class FixedDesign:
+    """The columns (N, 4, C) that turn unit normals into estimates, and the small matrices of their products; of a stack
+    of catalogues these have a leading axis.
+    """
+
+    setup: Setup
+    columns: Array
+    solving: slice  # which columns make the gain when multiplied by the inverse
+    normal: Array  # a^T a, (..., K, K)
+    inverse: Array  # of A^T W A, W the weights of the solution
+    bias: Array  # (..., K)
+    design_residual: Array  # a^T r, (..., K): zero for inverse-variance weights
+    residual_squares: Array  # (...)
+    gain_products: Array  # the covariance of g^T z, (..., K, K)
+    condition_number: Array  # of A^T W A, (...)
+
+    def begin(self, rows: int, drawn: Array | None, shared: SharedSums) -> Solved:
+        """Ask for the sums of ``rows`` realisations, whose zonal errors are drawn already (``drawn``)."""
+        setup, noise = self.setup, self.setup.satellite
+        if not noise:
+            return lambda: self.solved(np.zeros((*setup.stack, self.columns.shape[2], rows)), 0.0)
+        ratio = noise.inflation if noise.is_drawn else 0.0
+        measured, columns = setup.observables, setup.stacked(self.columns)
+        alone = noise.factor is not None or drawn is not None  # its errors are those of no other point
+        latest: dict[int, Array] = {}  # those of the tile that both sums are asked for
+
+        def errors(normals: Array, place: slice) -> Array:
+            """Return the errors of a tile in units of the sigma of the weights."""
+            if place.start not in latest:
+                latest.clear()
+                latest[place.start] = ratio * noise.standardised(normals, place.start)
+                if noise.field is not None and drawn is not None:
+                    latest[place.start] += noise.field.values(drawn, place) / setup.sigma[place, :, None]
+            return latest[place.start]
+
+        def products(normals: Array, place: slice) -> Array:
+            if alone:
+                return frames.transposed_product(columns[place], errors(normals, place))
+            product = frames.transposed_product(columns[..., place, :, :], normals)
+            return product if ratio == 1.0 else ratio * product
+
+        def squares(normals: Array, place: slice) -> Array:
+            part = (errors(normals, place) if alone else normals)[..., measured, :]
+            return product_sum(part, part) if alone else ratio**2 * product_sum(part, part)
+
+        # nested catalogues of equal errors have columns that begin at the same place, and so share the first sum; the
+        # second needs no columns at all
+        which = id(self) if alone else ratio
+        asked = (
+            shared.ask(("products", origin(columns), which), setup.n_obj, products),
+            shared.ask(("squares", measured.start, measured.stop, which), setup.n_obj, squares),
+        )
+        return lambda: self.solved(*(total() for total in asked))
+
+    def predicted_covariance(self) -> Array:
+        """Return the covariance of the unknowns; shape (..., K, K)."""
+        sides = self.setup.reference, self.setup.satellite
+        if not any(sides):
+            return np.zeros_like(self.normal)
+        if all(side.as_weighed for side in sides):  # then it was computed with the gain, without a pass over objects
+            return self.gain_products
+        gain = self.columns[..., self.solving] @ self.inverse / self.setup.sigma[..., None]
+        return np.asarray(sum(side.covariance_through(gain) for side in sides))
+
+    def chi2_variance(self) -> Array:
+        """Return the variance of chi2 (...), of the noncentral law; NaN where weights are not those of the errors."""
+        setup = self.setup
+        dof = setup.n_obj * 2 * sum(setup.measured) - len(setup.truth) + len(setup.truth[setup.fixed])
+        known = self.optimal and setup.reference.as_weighed and setup.satellite.as_weighed
+        return (2.0 * dof + 4.0 * self.residual_squares) * (1.0 if known else np.nan)
+
+    @property
+    def optimal(self) -> bool:
+        """Whether the weights are those of the errors, so that the gain follows from the design."""
+        return self.setup.scenario.weighting == "inverse-variance"
+
+    def residual(self, part: slice) -> Array:
+        """Return r of some objects; shape (n, 4)."""
+        return np.asarray(self.columns[part, :, -1] - self.columns[part, :, : len(self.bias)] @ self.bias)
+
+    def solved(self, products: Array, squares: Array | float) -> tuple[Array, Array]:
+        """Return estimate - truth (..., K, rows) and the sum of chi2 (...) from ``products`` = columns^T z
+        (..., C, rows) and the sum of z^2.
+        """
+        a_z = products[..., : self.bias.shape[-1], :]
+        g_z = self.inverse @ products[..., self.solving, :]
+        r_z = products[..., -1, :] - (self.bias[..., None, :] @ a_z)[..., 0, :]
+        chi2 = products.shape[-1] * self.residual_squares + squares - 2.0 * np.sum(r_z, axis=-1)
+        terms = g_z * (self.normal @ g_z - 2.0 * a_z + 2.0 * self.design_residual[..., None])
+        return self.bias[..., None] - g_z, chi2 + terms.reshape(*self.setup.stack, -1).sum(axis=-1)
+
+
+def fixed_designs(setups: Sequence[Setup], shared: Prefixes) -> list[FixedDesign]:
+    """Return the design of each setup at the true reference; that of the largest catalogue should come first.
+
+    The small matrices of similar designs are computed together: one by one they would take longer than the objects of a
+    small catalogue.  Raises LinkError where a catalogue does not determine the link.
+    """
+    designs: dict[int, FixedDesign] = {}
+    alike: dict[Hashable, list[int]] = {}
+    for k, setup in enumerate(setups):
+        alike.setdefault((len(setup.truth), setup.scenario.weighting, setup.measured), []).append(k)
+    for group in alike.values():
+        first = setups[group[0]]
+        unknowns, optimal = len(first.truth), first.scenario.weighting == "inverse-variance"
+        columns = [_columns(setups[k], 1 if optimal else 2, shared) for k in group]
+        # stacked: for one 6 x 6 matrix the calls take longer than the arithmetic
+        products = np.stack([shared.products(setups[k].stacked(each)) for k, each in zip(group, columns, strict=True)])
+        solving = slice(0, unknowns) if optimal else slice(unknowns, 2 * unknowns)
+        matrices = _matrices(products, slice(0, unknowns), solving, first.fixed)
+        for k, each, *small in zip(group, columns, *matrices, strict=True):
+            designs[k] = FixedDesign(setups[k], each, solving, *small)
+    return [designs[k] for k in range(len(setups))]
+
+
+def _matrices(products: Array, design: slice, solving: slice, fixed: slice) -> tuple[Array, ...]:
+    """Return the small matrices of `FixedDesign`, in its order, from the products (..., C, C) of the columns."""
+    normal, design_misclosure = products[..., design, design], products[..., design, -1]
+    # for equal weights the estimate is (A^T A)^-1 A^T y with A = sigma a, and A^T A = a^T (sigma^2 a)
+    solved = products[..., design, solving].copy()
+    frames.hold(np.moveaxis(solved, (-2, -1), (0, 1)), fixed)
+    inverse, condition_number = frames.inverse_and_condition(solved)
+    bias = (inverse @ products[..., solving, -1:])[..., 0]
+    design_residual = design_misclosure - (normal @ bias[..., None])[..., 0]
+    return (
+        normal,
+        inverse,
+        bias,
+        # a^T r of the optimal weights is zero but for rounding, which chi2 would multiply
+        np.zeros_like(bias) if solving == design else design_residual,
+        np.maximum(0.0, products[..., -1, -1] - np.vecdot(bias, design_misclosure + design_residual)),
+        np.einsum("...ki,...ij,...jl->...kl", inverse, products[..., solving, solving], inverse),
+        condition_number,
+    )
+
+
+def _columns(setup: Setup, copies: int, shared: Prefixes) -> Array:
+    """Return the columns [a, m], or with two ``copies`` [a, sigma^2 a, m]; shape (N, 4, C)."""
+    catalogue, scenario, truth = setup.catalogue, setup.scenario, setup.truth
+    unknowns, left_out = len(truth), setup.counted == 0.0
+
+    def compute(ra: Array, dec: Array, pmra: Array, pmdec: Array, differences: Array) -> Array:
+        """Return [a, m] without weights, which are the same for all missions."""
+        objects = shared.objects(ra, dec, pmra, pmdec)
+        frames.require_off_poles(dec, np.concatenate([here.triad.q[2] for _, here in objects]))
+        columns = np.empty((len(ra), 4, unknowns + 1))
+        for part, here in objects:
+            _, derivatives = link_unknowns(scenario.solve_glide, scenario.corrections).derivatives(here)
+            misclosure = differences[part].T.copy()
+            for value, derivative in zip(truth, derivatives, strict=True):
+                misclosure -= derivative * value  # one by one: a matrix product may round by an object's place
+            columns[part, :, :unknowns] = np.moveaxis(derivatives, -1, 0).swapaxes(1, 2)
+            columns[part, :, unknowns] = misclosure.T
+        return columns
+
+    def weigh(plain: Array, sigma: Array) -> Array:
+        """Return the columns with weights."""
+        columns = plain / sigma[:, :, None]
+        if copies == 2:
+            times_sigma = plain[:, :, :unknowns] * sigma[:, :, None]
+            columns = np.concatenate([columns[:, :, :unknowns], times_sigma, columns[:, :, unknowns:]], axis=2)
+        columns[:, left_out] = 0.0  # what is not measured has no weight
+        # nor has an unknown that stays at its truth: `hold` puts 1 on its diagonal
+        for k in range(unknowns)[setup.fixed]:
+            columns[:, :, k::unknowns][:, :, :copies] = 0.0
+        return columns
+
+    settings = scenario.corrections, scenario.solve_glide, truth.tobytes()
+    objects = catalogue.ra, catalogue.dec, catalogue.pmra, catalogue.pmdec
+    plain = shared.once(("design", *settings), compute, *objects, setup.differences)
+    return shared.once(("columns", copies, setup.measured), weigh, plain, setup.sigma)
+
+
+class Projected:
+    """The fixed design of a catalogue, reduced to the triangle R (at most C, C) of its columns."""
+
+    def __init__(self, design: FixedDesign) -> None:
+        setup = design.setup
+        if setup.reference.factor is not None or setup.satellite.factor is not None:
+            raise LinkError("the projected method needs uncorrelated errors: otherwise chi2 has no chi-square law")
+        if not (setup.reference.as_weighed and setup.satellite.as_weighed):
+            raise LinkError("the projected method needs true errors that equal those in the weights, and no zonal ones")
+        worst = float(np.max(neglected(design)))
+        if worst > LARGEST_NEGLECT:
+            raise LinkError(
+                f"the projected method would neglect {worst:.2g} of sigma with these errors of the reference: "
+                f"at most {LARGEST_NEGLECT:g}"
+            )
+        self.design = design
+        self.triangle = np.zeros((0, design.columns.shape[2]))
+        # R of a matrix from R of its parts: Q is never formed, so memory stays that of a part
+        for part in parts(len(design.columns)):
+            rows = design.columns[part, setup.observables].reshape(-1, design.columns.shape[2])
+            self.triangle = np.asarray(np.linalg.qr(np.concatenate([self.triangle, rows]), mode="r"))
+
+    def draw(self, rows: int, rng: np.random.Generator) -> tuple[Array, Array]:
+        """Return estimate - truth of ``rows`` realisations (K, rows), and the sum of their chi2."""
+        setup = self.design.setup
+        if not setup.reference and not setup.satellite:
+            return self.design.solved(np.zeros((self.triangle.shape[1], rows)), 0.0)
+        normals = rng.standard_normal((rows, len(self.triangle))).T
+        outside = self.design.columns[:, setup.observables, 0].size - len(self.triangle)
+        # only the sum over the realisations is needed, and a sum of chi-squares is a chi-square too
+        squares = float(np.vdot(normals, normals)) + (rng.chisquare(rows * outside) if outside else 0.0)
+        return self.design.solved(self.triangle.T @ normals, squares)
+
+
+def neglected(design: FixedDesign) -> Array:
+    """Return a bound, in units of sigma, of the RMS error of each unknown from the fixed design; shape (K,).
+
+    It is of first order in the change D of the design with the errors of the reference: with the gain (A^T W A)^-1 A^T
+    W the estimate changes by (A^T W A)^-1 (D^T W e - A^T W D x), where e are errors and residuals and x is truth plus
+    error of the estimate.  The mean of this change comes from the only product of an error with itself, e_ra and the
+    turn of q with ra.  Its scatter is bounded by the squared norms of both terms, added up over objects for
+    orientation, spin and glide, with the rows of (A^T W A)^-1 (Cauchy and Schwarz); E(a b)^2 <= 3 E a^2 E b^2 for
+    normal a and b.
+    """
+    setup, unknowns = design.setup, len(design.bias)
+    if not setup.reference:
+        return np.zeros(unknowns)
+    predicted = np.diag(design.predicted_covariance())
+    # E x^2 of orientation, spin and glide
+    size = 2.0 * np.square(np.abs(setup.truth) + np.abs(design.bias)) + 6.0 * predicted
+    blocks = len(link_unknowns(setup.scenario.solve_glide).blocks)
+    squares, mean = np.zeros(blocks), np.zeros(unknowns)
+    for part in parts(len(design.columns)):
+        squares += _squared_changes(design, part, size.reshape(blocks, -1).sum(axis=1))
+        mean[ORIENTATION] += _mean_change(design, part)
+    rows = np.square(design.inverse).reshape(unknowns, blocks, -1).sum(axis=2)
+    bound = rows @ squares * len(squares) + np.square(design.inverse @ mean)
+    return np.asarray(np.sqrt(np.divide(bound, predicted, out=np.zeros_like(bound), where=predicted > 0.0)))
+
+
+def _squared_changes(design: FixedDesign, part: slice, size: Array) -> Array:
+    """Return bounds of E|D^T W e - A^T W D x|^2, added up over objects, for orientation, spin and glide; (blocks,)."""
+    setup, catalogue = design.setup, design.setup.catalogue
+    counted = setup.counted[:, None]
+    square_sec = np.cos(catalogue.dec[part]) ** -2.0
+    reference, variance = np.square(setup.reference.sigma[part]).T, np.square(setup.sigma[part]).T
+    weight = counted * (variance**-2.0 if design.optimal else np.ones_like(variance))  # squared
+    error = 3.0 * variance * (1.0 + np.square(design.residual(part).T))
+    # E|D|^2: p and q turn with ra and dec by at most 1/cos dec, pmdec eta and pmra eta with the motions too
+    turn = square_sec * (reference[0] + reference[1])
+    eta = square_sec * np.square([catalogue.pmdec[part], catalogue.pmra[part]])
+    eta_turn = 2.0 * (square_sec * reference[[3, 2]] + eta * turn)
+    if not setup.scenario.corrections:
+        eta, eta_turn = np.zeros_like(eta), np.zeros_like(eta)
+    positions = weight[:2] * turn * (error[:2] + size[0])
+    misfit = 3.0 * (size[1:].sum() * turn + size[0] * eta_turn)
+    motions = weight[2:] * (error[2:] * turn + misfit)
+    turned = weight[2:] * (error[2:] * eta_turn + eta * misfit)
+    # (a + ...)^2 <= 8 (a^2 + ...), both terms of four observables
+    return 8.0 * np.array([positions.sum() + turned.sum(), *[motions.sum()] * (len(size) - 1)])
+
+
+def _mean_change(design: FixedDesign, part: slice) -> Array:
+    """Return E[D^T W e] of the orientation added up over objects; q changes by -tan dec p with ra*.  Shape (3,)."""
+    catalogue, setup = design.setup.catalogue, design.setup
+    ra, dec = catalogue.ra[part], catalogue.dec[part]
+    size = np.tan(dec) * np.square(setup.reference.sigma[part, 0])
+    if design.optimal:
+        size /= np.square(setup.sigma[part, 0])
+    return np.array([np.sum(size * np.sin(ra)), -np.sum(size * np.cos(ra)), 0.0])
+
+
+# ---- noisy design
+
+RA, DEC, PMRA, PMDEC = range(4)
+
+ELEMENTS = 8192
+"""Objects x realisations in one array operation, so that its arrays of 64 KiB stay near the core."""
+
+SMALL_ANGLE = 1e-3
+"""Angle (rad) below which two terms of the series of sin x and 1 - cos x are exact to rounding: x^5/120 and x^6/720 are
+below 1e-17.
+"""
+
+FARTHEST = 10.0
+"""Largest normal deviate that is expected, in sigma; one beyond has a probability of 1e-23."""
+
+
+class Seen(NamedTuple):
+    """Noisy reference objects, each (m, catalogues, rows): sin and cos of ra and dec, proper motions, and these divided
+    by cos dec.
+    """
+
+    s: Array
+    c: Array
+    sin_dec: Array
+    cos_dec: Array
+    pmra: Array
+    pmdec: Array
+    pmra_turn: Array
+    pmdec_turn: Array
+
+    def products(self, out: Array, work: Array) -> Array:
+        """Write the products of sin and cos into the first axis of ``out``: seven, or with a glide twelve."""
+        s, c, sin_dec, cos_dec = self[:4]
+        cc, cs, ss = out[:3]
+        np.multiply(c, c, out=cc)
+        np.multiply(c, s, out=cs)
+        np.multiply(sin_dec, sin_dec, out=ss)
+        np.multiply(ss, cc, out=out[3])
+        np.multiply(ss, cs, out=out[4])
+        mixed = np.multiply(sin_dec, cos_dec, out=work)
+        np.multiply(mixed, c, out=out[5])
+        np.multiply(mixed, s, out=out[6])
+        if len(out) > 7:
+            out[7] = sin_dec
+            np.multiply(sin_dec, cc, out=out[8])
+            np.multiply(sin_dec, cs, out=out[9])
+            np.multiply(cos_dec, c, out=out[10])
+            np.multiply(cos_dec, s, out=out[11])
+        return out
+
+
+class NormalSums:
+    """A^T W A and A^T W y of ``rows`` realisations of each of some catalogues."""
+
+    def __init__(self, catalogues: int, rows: int, corrections: bool, glide: bool) -> None:
+        unknowns, number = len(link_unknowns(glide)), 12 if glide else 7
+        self.corrections, self.glide = corrections, glide
+        self.total_weight = np.zeros((catalogues, 4))
+        self.product_sums = np.zeros((number, catalogues, 4, rows))
+        # what A21 adds to the upper rows of A^T W A, those of epsilon
+        self.turns = np.zeros((ORIENTATION.stop, unknowns, catalogues, rows))
+        self.right = np.zeros((unknowns, catalogues, rows))
+
+    def add(self, which: slice, seen: Seen, products: Array, weights: Array, weighted: Array, scratch: Array) -> None:
+        """Add objects of some of the catalogues, with ``weights`` (catalogues, m, 4) and weighted differences
+        ``weighted`` (m, 4, catalogues, rows).
+        """
+        self.total_weight[which] += weights.sum(axis=1)
+        # one matrix product for all four observables: their weights are the same in all realisations
+        self.product_sums[:, which] += weights.swapaxes(1, 2) @ products.swapaxes(1, 2)
+        right, (ra, dec, pmra, pmdec) = self.right[:, which], weighted.swapaxes(0, 1)
+        _add_right(right[ORIENTATION], seen, ra, dec, scratch[0])
+        _add_right(right[SPIN], seen, pmra, pmdec, scratch[0])
+        if self.glide:
+            _add_right(right[GLIDE], seen, pmdec, -pmra, scratch[0])
+        if self.corrections:
+            each = weights.transpose(1, 2, 0)[..., None]
+            self._add_turns(self.turns[:, :, which], right, seen, products, each, weighted, scratch)
+
+    def equations(self) -> tuple[Array, Array]:
+        """Return A^T W A, shape (K, K, catalogues, rows), and A^T W y, shape (K, catalogues, rows)."""
+        unknowns = len(self.right)
+        normal = np.zeros((unknowns, *self.right.shape))
+        normal[ORIENTATION, ORIENTATION] = self._squares(RA, DEC)
+        normal[SPIN, SPIN] = self._squares(PMRA, PMDEC)
+        if self.glide:
+            normal[GLIDE, GLIDE] = self._squares(PMDEC, PMRA)
+            normal[SPIN, GLIDE] = self._crossed(PMRA) - np.swapaxes(self._crossed(PMDEC), 0, 1)
+        normal[ORIENTATION] += self.turns
+        for k in range(1, unknowns):
+            normal[k, :k] = normal[:k, k]
+        return normal, self.right
+
+    def _squares(self, along_q: int, along_p: int) -> Array:
+        """Return sum(w q q^T + w' p p^T), w and w' the weights of two observables; shape (3, 3, catalogues, rows)."""
+        # C^2 = 1 - S^2 and s^2 = 1 - c^2: with the sum of the weights, two products fewer
+        ss, ss_cc, ss_cs, sc_c, sc_s = self.product_sums[2:7, :, along_q]
+        whole, other = (self.total_weight[:, [k]] for k in (along_q, along_p))
+        cc_p, cs_p = self.product_sums[:2, :, along_p]
+        xy, xz, yz = ss_cs - cs_p, -sc_c, -sc_s
+        return np.array(
+            [[ss_cc + other - cc_p, xy, xz], [xy, ss - ss_cc + cc_p, yz], [xz, yz, whole - ss]],
+        )
+
+    def _crossed(self, observable: int) -> Array:
+        """Return sum(w q p^T), w the weights of an observable; shape (3, 3, catalogues, rows)."""
+        sin_dec, s_cc, s_cs, cos_c, cos_s = self.product_sums[7:, :, observable]
+        none = np.zeros_like(sin_dec)
+        return np.array([[s_cs, -s_cc, none], [sin_dec - s_cc, -s_cs, none], [-cos_s, cos_c, none]])
+
+    def _add_turns(
+        self, turns: Array, right: Array, seen: Seen, products: Array, weights: Array, weighted: Array, scratch: Array
+    ) -> None:
+        """Add the terms of A21, whose rows are -pmdec eta and pmra eta in the third and fourth observable."""
+        s, c, sin_dec = seen[:3]
+        cc, cs = products[:2]
+        u, v = seen.pmdec_turn, seen.pmra_turn
+        wu, wv, term, work = scratch
+        np.multiply(weights[:, PMRA], u, out=wu)
+        np.multiply(weights[:, PMDEC], v, out=wv)
+
+        np.multiply(wu, u, out=term)  # of eta eta^T
+        term += np.multiply(wv, v, out=work)
+        xx, xy = _dot(term, cc), _dot(term, cs)
+        turns[0, 0] += xx
+        turns[0, 1] += xy
+        turns[1, 1] += term.sum(axis=0) - xx
+
+        np.multiply(v, weighted[:, PMDEC], out=term)  # of eta y
+        term -= np.multiply(u, weighted[:, PMRA], out=work)
+        right[0] += _dot(term, c)
+        right[1] += _dot(term, s)
+
+        _add_turned(turns[:, SPIN], np.multiply(wu, sin_dec, out=term), wv, cc, cs)
+        np.multiply(weights[:, PMRA], seen.pmdec, out=work)
+        turns[0, SPIN][2] -= _dot(work, c)
+        turns[1, SPIN][2] -= _dot(work, s)
+        if self.glide:
+            wv *= sin_dec
+            _add_turned(turns[:, GLIDE], np.negative(wv, out=term), wu, cc, cs)
+            np.multiply(weights[:, PMDEC], seen.pmra, out=work)
+            turns[0, GLIDE][2] += _dot(work, c)
+            turns[1, GLIDE][2] += _dot(work, s)
+
+
+def _add_right(right: Array, seen: Seen, along_q: Array, along_p: Array, work: Array) -> None:
+    """Add sum(q a - p b) of a and b of shape (m, catalogues, rows)."""
+    s, c, sin_dec, cos_dec = seen[:4]
+    down = np.multiply(sin_dec, along_q, out=work)
+    right[0] += _dot(s, along_p) - _dot(c, down)
+    right[1] -= _dot(c, along_p) + _dot(s, down)
+    right[2] += _dot(cos_dec, along_q)
+
+
+def _add_turned(block: Array, a: Array, b: Array, cc: Array, cs: Array) -> None:
+    """Add sum((c, s) (a c + b s, a s - b c)^T), the x and y columns of eta (-u q - v p)^T and eta (v q - u p)^T."""
+    xx, xy = _dot(a, cc) + _dot(b, cs), _dot(a, cs) - _dot(b, cc)
+    block[0, 0] += xx
+    block[0, 1] += xy
+    block[1, 0] += xy + b.sum(axis=0)
+    block[1, 1] += a.sum(axis=0) - xx
+
+
+def _dot(a: Array, b: Array) -> Array:
+    """Return the sum over objects of a b; shape (catalogues, rows)."""
+    return np.asarray(np.einsum("o...,o...->...", a, b))
+
+
+class NoisyDesign:
+    """The link of a catalogue, or a stack of them, whose reference has errors.
+
+    Arrays are (N, catalogues, rows), or (N, 4, catalogues, rows) with the observables: the realisations of several
+    catalogues lie side by side, so that operations on few realisations of each are as fast as those on many of one.
+    What does not differ between realisations has 1 in place of ``rows``.
+    """
+
+    def __init__(self, setup: Setup) -> None:
+        catalogue = setup.catalogue
+        self.setup, self.catalogues = setup, math.prod(setup.stack)
+
+        def each(objects: Array) -> Array:
+            return objects.reshape(self.catalogues, setup.n_obj, *objects.shape[1:])
+
+        def beside(objects: Array) -> Array:
+            return np.moveaxis(each(objects), 0, -1)[..., None]
+
+        ra, dec = beside(catalogue.ra), beside(catalogue.dec)
+        self.ra, self.dec = ra, dec
+        self.sin_ra, self.cos_ra, self.sin_dec, self.cos_dec = np.sin(ra), np.cos(ra), np.sin(dec), np.cos(dec)
+        self.pmra, self.pmdec = beside(catalogue.pmra), beside(catalogue.pmdec)
+        self.differences = beside(setup.differences)
+        self.reference_sigma, self.satellite_sigma = beside(setup.reference.sigma), beside(setup.satellite.sigma)
+        self.small = FARTHEST * self.reference_sigma[:, :2].max(axis=1) < SMALL_ANGLE * self.cos_dec
+        # the two ways round differently, so a stack must go the same way as each of its catalogues alone
+        if setup.stack and not self.small.all():
+            raise UnlikeError("some of the catalogues have objects whose errors are no small angles")
+        inverse_variance = setup.counted * each(setup.sigma) ** -2.0
+        equal = setup.scenario.weighting == "equal"
+        # the weights of the solution, then those of chi2 where they differ; (catalogues, N, 4)
+        self.weights = [np.ones_like(inverse_variance) * setup.counted] * equal + [inverse_variance]
+
+    def begin(self, rows: int, drawn: Array | None, shared: SharedSums) -> Solved:
+        """Begin a chunk of ``rows`` realisations, whose zonal errors are drawn already (``drawn``)."""
+        setup = self.setup
+        self.drawn, self.squares = drawn, np.zeros(self.catalogues)
+        self.objects = min(max(1, ELEMENTS // rows), setup.n_obj)
+        self.together = min(max(1, ELEMENTS // (rows * self.objects)), self.catalogues)
+        # an orientation that stays at its true value has no derivatives
+        turns, glide = setup.scenario.corrections and setup.measured[0], setup.scenario.solve_glide
+        self.sums = [NormalSums(self.catalogues, rows, turns, glide) for _ in self.weights]
+        # of full size also where fewer objects or catalogues are left, so that the same memory serves all parts
+        columns = self.together, rows
+        self.errors = np.empty((3, self.objects, 4, *columns))
+        self.seen = np.empty((len(Seen._fields), self.objects, *columns))
+        self.products = np.empty((len(self.sums[0].product_sums), self.objects, *columns))
+        self.scratch = np.empty((4, self.objects, *columns))
+        return self.solved
+
+    def add(self, satellite: Tile | None, reference: Tile) -> None:
+        """Add the objects of a tile, the same on both sides; None for a satellite without errors."""
+        setup = self.setup
+        normals = self._beside(reference, setup.reference)
+        others = self._beside(satellite, setup.satellite) if satellite is not None and setup.satellite else None
+        for first in range(0, self.catalogues, self.together):
+            which = slice(first, min(first + self.together, self.catalogues))
+            for start in range(0, len(normals), self.objects):
+                part = slice(start, start + self.objects), slice(None), which
+                self._add(which, reference.start + start, normals[part], None if others is None else others[part])
+
+    def _beside(self, tile: Tile, noise: Noise) -> Array:
+        """Return the errors of a tile in units of their sigma, (m, 4, catalogues, rows)."""
+        normals = noise.standardised(tile.head(self.setup.n_obj), tile.start)
+        return normals.reshape(self.catalogues, *normals.shape[-3:]).transpose(1, 2, 0, 3)
+
+    def solved(self) -> tuple[Array, Array]:
+        """Return estimate - truth of each realisation, (..., K, rows), and the sum of chi2, (...)."""
+        stack, (normal, right) = self.setup.stack, self.sums[0].equations()
+        error = frames.solve_normal(frames.hold(normal, self.setup.fixed), right)
+        # chi2 has the weights of the errors, also where the solution has equal ones
+        normal, right = self.sums[-1].equations()
+        terms = error * (np.einsum("kl...,l...->k...", normal, error) - 2.0 * right)
+        error, terms = (np.ascontiguousarray(array.swapaxes(0, 1)) for array in (error, terms))
+        chi2 = self.squares + terms.reshape(self.catalogues, -1).sum(axis=-1)
+        return error.reshape(*stack, *error.shape[1:]), chi2.reshape(stack)
+
+    def _add(self, which: slice, start: int, reference: Array, satellite: Array | None) -> None:
+        """Add objects of some of the catalogues with these errors, (m, 4, catalogues, rows) in units of their sigma."""
+        setup, (n_obj, _, catalogues, _) = self.setup, reference.shape
+        part, inside = slice(start, start + n_obj), (slice(n_obj), slice(catalogues))
+        at = part, slice(None), which
+        shift, misclosure, weighted = self.errors[:, :n_obj, :, :catalogues]
+        np.multiply(reference, self.reference_sigma[at], out=shift)
+        np.add(shift, self.differences[at], out=misclosure)
+        if satellite is not None:
+            misclosure -= np.multiply(satellite, self.satellite_sigma[at], out=weighted)
+        if setup.satellite.field is not None and self.drawn is not None:
+            misclosure -= setup.satellite.field.values(self.drawn, part)[:, :, None]
+        scratch = self.scratch[:, *inside]
+        seen = self._seen((part, which), shift, Seen(*self.seen[:, *inside]), scratch)
+        # before the sums: they are then those of the error alone, however large the truth
+        self._subtract_truth(seen, misclosure, scratch)
+        products = seen.products(self.products[:, *inside], scratch[0])
+        for sums, all_weights in zip(self.sums, self.weights, strict=True):
+            weights = all_weights[which, part]
+            np.multiply(misclosure, weights.transpose(1, 2, 0)[..., None], out=weighted)
+            sums.add(which, seen, products, weights, weighted, scratch)
+        # the last weights are those of chi2
+        self.squares[which] += product_sum(weighted.transpose(2, 0, 1, 3), misclosure.transpose(2, 0, 1, 3))
+
+    def _seen(self, at: tuple[slice, slice], shift: Array, seen: Seen, scratch: Array) -> Seen:
+        """Write the objects with their errors ``shift``."""
+        cos_dec = self.cos_dec[at]
+        d_ra, d_dec = np.divide(shift[:, RA], cos_dec, out=scratch[0]), shift[:, DEC]
+        if self.small[at].all():
+            _turn(self.sin_ra[at], self.cos_ra[at], d_ra, scratch[1:3], seen.s, seen.c)
+            _turn(self.sin_dec[at], cos_dec, d_dec, scratch[1:3], seen.sin_dec, seen.cos_dec)
+        else:
+            ra, dec = self.ra[at] + d_ra, self.dec[at] + d_dec
+            np.sin(ra, out=seen.s)
+            np.cos(ra, out=seen.c)
+            np.sin(dec, out=seen.sin_dec)
+            np.cos(dec, out=seen.cos_dec)
+        if seen.cos_dec.min() < frames.POLE_LIMIT:  # negative beyond the pole, where dec is above 90 deg
+            item, catalogue, row = np.argwhere(seen.cos_dec < frames.POLE_LIMIT)[0]
+            dec = self.dec[at][item, catalogue, 0] + d_dec[item, catalogue, row]
+            raise frames.pole_error(at[0].start + int(item), float(dec))
+        np.add(self.pmra[at], shift[:, PMRA], out=seen.pmra)
+        np.add(self.pmdec[at], shift[:, PMDEC], out=seen.pmdec)
+        np.divide(seen.pmra, seen.cos_dec, out=seen.pmra_turn)
+        np.divide(seen.pmdec, seen.cos_dec, out=seen.pmdec_turn)
+        return seen
+
+    def _subtract_truth(self, seen: Seen, misclosure: Array, scratch: Array) -> None:
+        """Subtract A times the truth, A the noisy design, so that the solution is estimate - truth."""
+        scenario, truth = self.setup.scenario, self.setup.truth
+        turn, work = scratch[:2]
+        ra, dec, pmra, pmdec = misclosure.swapaxes(0, 1)
+        if scenario.corrections:
+            np.multiply(seen.c, truth[0], out=turn)
+            turn += np.multiply(seen.s, truth[1], out=work)  # eta.epsilon cos dec
+            pmra += np.multiply(seen.pmdec_turn, turn, out=work)
+            pmdec -= np.multiply(seen.pmra_turn, turn, out=work)
+        _add_field(ra, dec, seen, -truth[ORIENTATION], scratch)
+        _add_field(pmra, pmdec, seen, -truth[SPIN], scratch)
+        if scenario.solve_glide:  # g adds p.g and q.g
+            along_p = np.zeros_like(pmra)
+            _add_field(pmdec, along_p, seen, -truth[GLIDE], scratch)
+            pmra -= along_p
+
+
+def _add_field(along_q: Array, along_p: Array, seen: Seen, vector: Array, scratch: Array) -> None:
+    """Add q.vector to the one and -p.vector to the other, in place."""
+    x, y, z = vector
+    field, work = scratch[:2]
+    np.multiply(seen.c, -x, out=field)
+    field -= np.multiply(seen.s, y, out=work)
+    field *= seen.sin_dec
+    along_q += field
+    along_q += np.multiply(seen.cos_dec, z, out=work)
+    along_p += np.multiply(seen.s, x, out=work)
+    along_p -= np.multiply(seen.c, y, out=work)
+
+
+def _turn(sin: Array, cos: Array, angle: Array, scratch: Array, sin_out: Array, cos_out: Array) -> None:
+    """Write sin and cos of the sum of two angles by the addition theorem; ``angle`` is below `SMALL_ANGLE`."""
+    small_sin, minus = scratch  # sin of the small angle, and its cos - 1
+    np.multiply(angle, angle, out=small_sin)
+    np.multiply(small_sin, 1.0 / 24.0, out=minus)
+    minus -= 0.5  # cos x - 1 = x^2 (x^2/24 - 1/2), without the cancellation of cos x and 1
+    minus *= small_sin
+    small_sin *= -1.0 / 6.0
+    small_sin += 1.0
+    small_sin *= angle
+    np.multiply(sin, minus, out=sin_out)
+    np.multiply(cos, small_sin, out=cos_out)
+    sin_out += cos_out
+    sin_out += sin
+    np.multiply(cos, minus, out=cos_out)
+    small_sin *= sin
+    cos_out -= small_sin
+    cos_out += cos
