@@ -603,7 +603,8 @@ def forecast(satellite: str | Path, reference: str | Path, unknowns: str | None 
         planned = observed(*add) if add else base
         sources, steps = planning.choose(base, planned, plan.number, goal)
         total = base.matrices.sum(axis=0)
-        stages = {"now": solving.source_sums(problem).matrices.sum(axis=0)}
+        # At the epoch of the others, to which a release moves it: the error of an orientation depends on it.
+        stages = {"now": solving.source_sums(replace(problem, epoch=future.epoch)).matrices.sum(axis=0)}
         stages |= {} if plan.release == TABLE else {plan.release: total}
         stages |= {"all observed": planned.matrices.sum(axis=0)} if add else {}
         by_epoch = [observed(epoch).matrices.sum(axis=0) for epoch in add]
