@@ -37,6 +37,10 @@ for _number, _handler in ((signal.SIGINT, signal.default_int_handler), (signal.S
 FIRST = ("test_paper", "test_interrupt", "test_faults", "test_docs", "test_slurm", "test_study_fuzz", "test_benchmarks")
 """Files that take longest: a process that got one of them at the end would keep the others waiting."""
 
+COINS = str(Path(__file__).parent / "sweep" / "coins.py") + ":experiment"
+APART = {"--workers", "--scheduler", "--cluster", "--dashboard", "--time-limit", "--memory-limit"}
+APART |= {"threads", "processes"}  # what makes a command of a test a process of its own
+
 
 def pytest_addoption(parser):
     parser.addoption("--all", action="store_true", help="run the tests that are marked slow, too")
@@ -59,9 +63,6 @@ def pytest_collection_modifyitems(config, items):
     items.sort(key=lambda item: place.get(item.path.stem, len(FIRST)))
 
 
-COINS = str(Path(__file__).parent / "sweep" / "coins.py") + ":experiment"
-
-
 @pytest.fixture
 def coins():
     """A document of a study of the coin experiment: 2 x 3 points, some blocks each."""
@@ -77,13 +78,8 @@ def coin_store(tmp_path_factory):
 
 
 def coins_document():
-    return {
-        "title": "Coins",
-        "experiment": COINS,
-        "axes": {"metal": ["gold", "tin"], "coins": [1, 5, 20]},
-        "fixed": {"chance": 0.4},
-        "sampling": {"n_sim": 1000, "n_cat": 20, "seed": 7},
-    }
+    axes, sampling = {"metal": ["gold", "tin"], "coins": [1, 5, 20]}, {"n_sim": 1000, "n_cat": 20, "seed": 7}
+    return {"title": "Coins", "experiment": COINS, "axes": axes, "fixed": {"chance": 0.4}, "sampling": sampling}
 
 
 LINK_STUDY = """
@@ -101,6 +97,13 @@ seed = 11
 
 
 @pytest.fixture
+def here(tmp_path, monkeypatch):
+    """An empty folder, which is the present one."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
 def link_study(tmp_path):
     """The path of a small study of the link."""
     path = tmp_path / "small.toml"
@@ -115,12 +118,9 @@ def start_sweep():
 
     def start(*arguments, command=(sys.executable, "-m", "linksweep"), **options):
         command = [*map(str, command), *map(str, arguments)]
-        environment = os.environ | {"PYTHONWARNINGS": "default"}
-        process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment, **options
-        )
-        started.append(process)
-        return process
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+        started.append(subprocess.Popen(command, env=os.environ | {"PYTHONWARNINGS": "default"}, **pipes, **options))
+        return started[-1]
 
     yield start
     for process in started:
@@ -129,20 +129,14 @@ def start_sweep():
         process.communicate()
 
 
-APART = {
-    *("--workers", "--scheduler", "--cluster", "--dashboard", "--time-limit", "--memory-limit"),
-    *("threads", "processes"),
-}
-"""What makes a command of a test a process of its own."""
-
-
-def run_sweep(*arguments, cwd=None):
-    """Run `sweep` in this process; return (exit code, stdout, stderr)."""
+def run_sweep(*arguments, cwd=None, code=None):
+    """Run `sweep` in this process; return (exit code, stdout, stderr), the code one that is required."""
     with chdir(cwd or Path.cwd()), warnings.catch_warnings(record=True):
         warnings.filterwarnings("default", module="linksweep_local_")  # of experiments in files
         done = CliRunner().invoke(main, [str(argument) for argument in arguments], prog_name="sweep")
     if done.exception is not None and not isinstance(done.exception, SystemExit):
         raise done.exception
+    assert code in (None, done.exit_code), done.stderr
     return done.exit_code, done.stdout, done.stderr
 
 
@@ -160,12 +154,13 @@ def sweep(sweep_here, start_sweep):
     it would choose by the time its first points take, and a test must not depend on how busy the machine is.
     """
 
-    def sweep(*arguments, cwd=None):
+    def sweep(*arguments, cwd=None, code=None):
         if APART & set(arguments):
             process = start_sweep(*arguments, cwd=cwd)
             out, err = process.communicate(timeout=PATIENCE_S)
+            assert code in (None, process.returncode), err
             return process.returncode, out, err
         here = ("--pool", "serial") if arguments[:1] == ("run",) and "--pool" not in arguments else ()
-        return sweep_here(*arguments, *here, cwd=cwd)
+        return sweep_here(*arguments, *here, cwd=cwd, code=code)
 
     return sweep

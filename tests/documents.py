@@ -28,7 +28,6 @@ def commands(document):
 
 
 def run_commands(document, sweep, folder):
-    """Run the commands that a document shows, one after the other, in a folder."""
     for command in commands(document):
         words = shlex.split(command, comments=True)[1:]
         words, file = (words[:-2], words[-1]) if ">" in words else (words, None)

@@ -14,6 +14,10 @@ from benchmarks.measured import Measured, Target
 from benchmarks.mutants import mutants, nearest_tests
 from tests.documents import ROOT
 
+FRAMES = "core/frames.py"
+KILLED = "tests/core/test_frames.py", 0, ["2 of 2 killed"]
+NAMED = "tests/test_guarantees.py", 1, ["SURVIVED", f"{FRAMES}: triad: ", "0 of 2 killed"]
+
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in BENCHMARKS if name != "functions"])  # all of it is about peers
@@ -56,8 +60,6 @@ def test_the_benchmark_at_a_small_scale():
 
 # ----- the mutation run: its mutants are programs, and the tests notice what they should
 
-FRAMES = "core/frames.py"
-
 
 @pytest.mark.slow
 @pytest.mark.parametrize("file", [FRAMES, "sweep/tables/reader.py"])
@@ -76,13 +78,7 @@ def test_every_file_has_tests():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("tests", "code", "words"),
-    [
-        ("tests/core/test_frames.py", 0, ["2 of 2 killed"]),
-        ("tests/test_guarantees.py", 1, ["SURVIVED", f"{FRAMES}: triad: ", "0 of 2 killed"]),
-    ],
-)
+@pytest.mark.parametrize(("tests", "code", "words"), [KILLED, NAMED])
 def test_mutants_are_killed_or_named(tests, code, words):
     options = f"{FRAMES} --function triad --tests {tests} --sample 2"
     command = [sys.executable, "benchmarks/mutants.py", *options.split()]

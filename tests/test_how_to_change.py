@@ -10,50 +10,36 @@ import pytest
 from tests.documents import ROOT
 from tests.tiers import slow
 
-PAGE = (ROOT / "docs" / "how-to-change-it.md").read_text()
+PAGE, POOLS = (ROOT / "docs" / "how-to-change-it.md").read_text(), "sweep/executing/pools.py"
 DOUBLE = '''
-
 @dataclass(frozen=True)
 class Double(ErrorModel):
     """Errors of 2 mas and 4 mas/yr."""
-
     def at(self, v_mag):
         return 2.0, 4.0
-
-
 ERROR_MODELS = {**ERROR_MODELS, "double": Double}
 '''
 RING = '''
-
 class Ring(CatalogueKind):
     """Twelve objects, or n_obj of them, on a spiral."""
-
     parameters = frozenset()
-
     def available(self, point):
         return 12
-
     def magnitudes(self, point):
         return 10.0, 10.0
-
     def draw(self, point, rng):
         n = self.size(point)
         zero = np.zeros(n)
         return Catalogue(2 * np.pi * np.arange(n) / n, np.linspace(-1.0, 1.0, n), zero, zero, zero + 10.0)
-
-
 CATALOGUES = {**CATALOGUES, "ring": Ring()}
 '''
 FLAT = """
 MISSIONS = {**MISSIONS, "flat": Mission(*[LogLinear((0.0, 9.0), (2.0, 2.0))] * 2, 1.0, np.inf, "a toy")}
 """
 SOUTH = '''
-
 def south(objects):
     """Return the derivatives by a constant in the declinations of the southern sky; shape (1, 1, N)."""
     return np.where(objects.dec < 0.0, 1.0, 0.0)[None, None]
-
-
 KNOWN = {**KNOWN, "south": lambda asked: Block("south", ("south_dec",), (1,), False, south)}
 '''
 WORST = """
@@ -63,14 +49,10 @@ IN_THE_SUMMARY = ('"chi2": sums["chi2"] / n,', '"sigma_worst": np.sqrt(variance[
 DOTS = """
 from matplotlib.figure import Figure
 from linksweep.sweep.plots import GridFigure
-
-
 def dots(dataset, variables, over):
     figure = Figure()
     figure.add_subplot().plot(dataset[variables[0]].values.reshape(-1), "o")
     return figure
-
-
 DOTS = GridFigure(lambda dataset, variable: True, dots)
 """
 A_KIND = ('"scatter": Kind("grid:SCATTER"),', '"dots": Kind("dots:DOTS"),')
@@ -78,15 +60,12 @@ BACKWARDS = """
 from contextlib import contextmanager
 from linksweep.sweep.executing.pools import Place
 from linksweep.sweep.executing.worker import compute
-
-
 @contextmanager
 def backwards(reference, workers, limits):
     def execute(take):
         while jobs := take(3):
             for job in reversed(jobs):
                 yield job, compute(job.task(limits, 0.0))
-
     yield Place("in this process, the last job first", 1), execute
 """
 A_POOL = """
@@ -96,7 +75,6 @@ POOLS = {**POOLS, "backwards": Pool("backwards", "linksweep.sweep.executing.back
 LINK = """
 import numpy as np
 from linksweep.core.experiment import evaluate, link
-
 point = link.defaults() | {"n_obj": 30, CHANGES}
 assert link.check(point) is None, link.check(point)
 sums = evaluate([point], 50, np.random.default_rng(1), np.random.default_rng(2))
@@ -104,14 +82,12 @@ assert np.isfinite(link.summarise(sums, np.array([50.0]), np.array([1.0]))["sigm
 """
 TIE = """
 import linksweep
-
 link = linksweep.tie("psrpi-de200", "timing-de200", "orientation,south")
 assert link.unknown.values.tolist()[-1] == "south_dec"
 assert link.unit.values[-1] == "mas"
 """
 RUN = """
 import linksweep
-
 study = {"title": "A toy", "axes": {"n_obj": [30, 40, 50]}, "sampling": {"n_sim": 20}}
 ds = linksweep.run(study, "toy.zarr", pool="serial")
 """
@@ -135,10 +111,7 @@ TOYS = {
     "block of unknowns": ({"core/unknowns.py": SOUTH}, TIE),
     "output": ({"core/parameters.py": WORST, "core/experiment.py": IN_THE_SUMMARY}, RUN + LARGEST),
     "kind of plot": ({"sweep/plots/__init__.py": A_KIND, "sweep/plots/dots.py": DOTS}, RUN + PLOT),
-    "pool of this machine": (
-        {"sweep/executing/pools.py": A_POOL, "sweep/executing/backwards.py": BACKWARDS},
-        RUN + POOL,
-    ),
+    "pool of this machine": ({POOLS: A_POOL, POOLS.replace("pools", "backwards"): BACKWARDS}, RUN + POOL),
 }
 
 

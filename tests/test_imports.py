@@ -16,21 +16,16 @@ PACKAGES = """
 # By what is imported, the only modules that may.  The platform knows nothing of astrometry, and the search is a command
 # beside it.
 ONLY_IN = {
-    "click": "sweep.cli",
-    "distributed": "sweep.executing",
-    "zarr": "sweep.stores",
-    "obstore": "sweep.stores",
+    **{"click": "sweep.cli", "distributed": "sweep.executing", "zarr": "sweep.stores", "obstore": "sweep.stores"},
+    **{"erfa": "core.tie.astrometry", "pygaia": "core.missions", "sweep.search": "sweep.search sweep.cli.run"},
     "matplotlib": "sweep.plots sweep.report sweep.search sweep.api",  # the last for a type
     "bokeh": "sweep.report",
     "jinja2": "sweep.report",
     "pydantic": "sweep.studies sweep.stores sweep.executing sweep.functions.results",  # the last for records alone
     "astropy": "sweep.contract.experiment sweep.tables sweep.table_writer sweep.formatting sweep.analysis "
     "sweep.result sweep.search sweep.tie",
-    "erfa": "core.tie.astrometry",
-    "pygaia": "core.missions",
     "pandas": "sweep core.missions.calibrate",  # a script, which nobody imports
     "core": "core __init__ sweep.plots.link sweep.search sweep.tie",
-    "sweep.search": "sweep.search sweep.cli.run",
 }
 # By who imports, the only modules of the platform that it may, and the only other libraries.
 OF_THE_PLATFORM = {
@@ -45,7 +40,6 @@ OF_LIBRARIES = {
 }
 # Of the core, the experiment and what it is made of know the contract.
 KNOWS_THE_CONTRACT = "core.parameters core.scenario core.experiment core.missions core.catalogues core.errors"
-
 FILES = {
     ".".join(path.relative_to(ROOT / folder).with_suffix("").parts): path
     for folder, top in (("", "core"), ("linksweep", "linksweep"), ("", "sweep"))
@@ -99,7 +93,6 @@ def test_imports_point_down():
 
 
 def test_no_import_goes_in_a_circle():
-    """Raises CycleError, which names the modules of one."""
     graph = {name: others & FILES.keys() for name, others in ARROWS.items()}
     assert set(TopologicalSorter(graph).static_order()) == set(FILES)
 

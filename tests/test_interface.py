@@ -10,7 +10,6 @@ from tests.documents import ROOT
 
 RUN = """
 import linksweep
-
 if __name__ == "__main__":
     study = {"title": "t", "axes": {"n_obj": [20, 40]}, "sampling": {"n_sim": 400}}
     ds = linksweep.run(study, "s.zarr", workers=2, pool="processes")
@@ -35,17 +34,12 @@ def test_every_name_is_listed_and_every_function_says_what_it_takes_gives_and_ra
 TYPED = """
 from collections.abc import Mapping, Sequence
 from typing import Any
-
 import xarray as xr
 from numpy.random import Generator
 import linksweep
 from linksweep import Experiment, Output, Parameter, Point
-
-
 def throw(points: Sequence[Point], n_sim: int, rng: Generator, catalogue_rng: Generator) -> Mapping[str, Any]:
     return {"sum": [rng.normal(p["mean"], 1.0, n_sim).sum() for p in points]}
-
-
 experiment = Experiment(
     name="throws",
     version=1,
@@ -64,10 +58,10 @@ where: xr.Dataset = linksweep.find(dataset, "average < 1", over="mean")
 def test_a_users_script_sees_the_types(tmp_path):
     (tmp_path / "good.py").write_text(TYPED)
     (tmp_path / "bad.py").write_text('import linksweep\nlinksweep.run(3)\nlinksweep.plot("s.zarr")\n')
-    done = python(tmp_path, "-m", "mypy", "--strict", "--cache-dir", tmp_path / "cache", "good.py", "bad.py")
-    assert 'bad.py:2: error: Argument 1 to "run" has incompatible type "int"' in done.stdout
-    assert 'bad.py:3: error: Argument 1 to "plot" has incompatible type "str"' in done.stdout
-    assert "good.py" not in done.stdout
+    said = python(tmp_path, "-m", "mypy", "--strict", "--cache-dir", tmp_path / "cache", "good.py", "bad.py").stdout
+    assert "good.py" not in said
+    for line, words in ((2, '"run" has incompatible type "int"'), (3, '"plot" has incompatible type "str"')):
+        assert f"bad.py:{line}: error: Argument 1 to {words}" in said
 
 
 def test_files_of_the_user_with_our_names_do_no_harm(tmp_path):
@@ -81,7 +75,6 @@ def test_files_of_the_user_with_our_names_do_no_harm(tmp_path):
 
 
 def test_there_is_one_name_to_import():
-    """Nothing imports a second copy of a module by the name of its folder."""
     for top in ("core", "sweep", "sweeps"):
         assert not (ROOT / top / "__init__.py").exists()  # a folder of the user's with this name is found first
         assert (ROOT / "linksweep" / top).resolve() == ROOT / top

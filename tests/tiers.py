@@ -5,14 +5,8 @@ from typing import Any
 import pytest
 from hypothesis import settings
 
-ALL, QUICK = "all tests", "quick tests"
-"""Profiles of hypothesis, by tier."""
-
-
-PATIENCE_S = 1200.0
-"""How long tests wait for what is to happen: a hang, not a limit of speed, as machines can be very slow; less than
-pytest-timeout gives a test.
-"""
+ALL, QUICK = "all tests", "quick tests"  # profiles of hypothesis, by tier
+PATIENCE_S = 1200.0  # how long tests wait, on any machine, for what is to happen; less than pytest-timeout gives a test
 
 
 def slow(*values: Any) -> Any:

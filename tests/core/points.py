@@ -21,19 +21,18 @@ from linksweep.sweep.contract import Named
 from linksweep.sweep.tables.columns import table_file
 
 OTHER = {
-    **{"counts": "completed", "positions": "own"},
-    **{"model": "gaia", "mission_length": 7.0, "satellite_errors": "normal", "reference_errors": "normal"},
-    **{"error_scale": 0.5, "satellite_error_scale": 3.0, "reference_error_scale": 2.0},
-    **{"satellite_sigma_pos": 0.3, "satellite_sigma_pm": 0.2, "reference_sigma_pos": 0.5, "reference_sigma_pm": 0.7},
+    **{"counts": "completed", "positions": "own", "model": "gaia", "mission_length": 7.0, "error_scale": 0.5},
+    **{"satellite_errors": "normal", "satellite_error_scale": 3.0, "satellite_sigma_pos": 0.3},
+    **{"satellite_sigma_pm": 0.2, "satellite_floor_pos": 0.3, "satellite_floor_pm": 0.4, "satellite_error_ratio": 2.0},
+    **{"reference_errors": "normal", "reference_error_scale": 2.0, "reference_sigma_pos": 0.5},
+    **{"reference_sigma_pm": 0.7, "reference_floor_pos": 0.5, "reference_floor_pm": 0.6, "reference_error_ratio": 0.7},
     **{"corrections": False, "weighting": "equal", "solve_glide": True, "arithmetic": "stored"},
     **{"epsilon": (3.0, 0.0, -1.0), "omega": (0.0, 0.5, 2.0), "epsilon_size": 5.0, "omega_size": 0.1},
     **{"directions": "random", "aberration": True, "glide": (1.0, 2.0, 3.0), "v_min": 13.0, "v_max": 13.4},
     **{"mean_pm": 200.0, "pm_distribution": "constant", "zone_of_avoidance": 20.0, "sky_contrast": 0.4},
-    **{"satellite_floor_pos": 0.3, "satellite_floor_pm": 0.4, "reference_floor_pos": 0.5, "reference_floor_pm": 0.6},
-    **{"satellite_error_ratio": 2.0, "reference_error_ratio": 0.7},
-    **{"zonal_pos": 1.0, "zonal_pm": 2.0, "zonal_length": 70.0, "v_zero": 9.0},
-    **{"omega_slope": (0.1, 0.0, -0.2), "omega_slope_size": 0.3, "motion_field_size": 0.5},
-    **{"magnitude_equation_pmra": 0.2, "magnitude_equation_pmdec": -0.1, "motion_field": "t_2_0,s_3_1_im=-0.5"},
+    **{"zonal_pos": 1.0, "zonal_pm": 2.0, "zonal_length": 70.0, "v_zero": 9.0, "omega_slope": (0.1, 0.0, -0.2)},
+    **{"omega_slope_size": 0.3, "motion_field_size": 0.5, "motion_field": "t_2_0,s_3_1_im=-0.5"},
+    **{"magnitude_equation_pmra": 0.2, "magnitude_equation_pmdec": -0.1},
 }
 """Another value of every parameter but those of what is drawn."""
 
@@ -41,9 +40,8 @@ OTHER = {
 def sky(n_obj, seed=1, mean_pm=300.0 * MAS):
     """Objects anywhere: ra, dec, pmra, pmdec."""
     rng = np.random.default_rng(seed)
-    return *(rng.uniform(0.0, 2.0 * np.pi, n_obj), np.arcsin(rng.uniform(-1.0, 1.0, n_obj))), *rng.normal(
-        0.0, mean_pm, (2, n_obj)
-    )
+    place = rng.uniform(0.0, 2.0 * np.pi, n_obj), np.arcsin(rng.uniform(-1.0, 1.0, n_obj))
+    return *place, *rng.normal(0.0, mean_pm, (2, n_obj))
 
 
 def point(**changes):

@@ -10,10 +10,7 @@ POLE = 1e-8
 
 
 def design_matrix(ra, dec, pmra, pmdec, corrections=True, glide=False):
-    """Derivatives of the observables by the unknowns, shape (4, ..., K): observable, object, unknown.
-
-    Written out with NumPy alone.  Source: Metz & Geffert 2004, Eqs. 1-3 and 11-13.
-    """
+    """Derivatives of the observables by the unknowns (4, ..., K), with NumPy alone; Metz & Geffert 2004, Eqs. 1-13."""
     sin_ra, cos_ra, sin_dec, cos_dec, zero = np.sin(ra), np.cos(ra), np.sin(dec), np.cos(dec), np.zeros_like(ra)
     if np.any(cos_dec < POLE):
         at = np.argwhere(cos_dec < POLE)[0]
@@ -31,9 +28,7 @@ def design_matrix(ra, dec, pmra, pmdec, corrections=True, glide=False):
 
 
 def solve(design, differences, sigma, weighting="inverse-variance"):
-    """Solution for a design (4, N, K), differences and their errors (4, N); for equal weights its formal errors are
-    those of the sandwich G diag(sigma^2) G^T with the gain G (K, 4, N), and chi2 is not at its minimum.
-    """
+    """Solution for a design (4, N, K), differences and errors (4, N), with the gain G (K, 4, N) and sandwich errors."""
     a, y, s = design.reshape(-1, design.shape[-1]), differences.ravel(), sigma.ravel()
     root_weight = 1.0 / s if weighting == "inverse-variance" else np.ones_like(s)
     weighted = root_weight[:, None] * a
@@ -44,10 +39,6 @@ def solve(design, differences, sigma, weighting="inverse-variance"):
         raise LinkError("the link is rank deficient")
     gain = (vt.T / singular) @ (u.T * root_weight) / scale[:, None]
     estimate = gain @ y
-    return SimpleNamespace(
-        estimate=estimate,
-        gain=gain.reshape(len(scale), *differences.shape),
-        formal_error=np.sqrt(np.sum((gain * s) ** 2, axis=1)),
-        chi2=float(np.sum(((y - a @ estimate) / s) ** 2)),
-        condition_number=float(singular[0] / singular[-1]),
-    )
+    numbers = {"chi2": float(np.sum(((y - a @ estimate) / s) ** 2)), "condition_number": singular[0] / singular[-1]}
+    numbers |= {"estimate": estimate, "formal_error": np.sqrt(np.sum((gain * s) ** 2, axis=1))}
+    return SimpleNamespace(gain=gain.reshape(len(scale), *differences.shape), **numbers)

@@ -10,11 +10,12 @@ from tests.tiers import slow
 
 P_VALUE = 1e-3  # of a Kolmogorov-Smirnov or chi-square test with a fixed seed
 UNEVEN = [(0.0, 0.5), (20.0, 0.0), (20.0, -0.8), (60.0, 0.3)]  # zone of avoidance in deg, contrast
-TABLE_1 = {
-    14.0: 28, 14.5: 49, 15.0: 88, 15.5: 163, 16.0: 315, 16.5: 624, 17.0: 1156, 17.5: 2056, 18.0: 3453, 18.5: 5542,
-    19.0: 8095, 19.5: 11442, 20.0: 15533,
-}  # fmt: skip
+COUNTS = 28, 49, 88, 163, 315, 624, 1156, 2056, 3453, 5542, 8095, 11442, 15533
+TABLE_1 = {14.0 + 0.5 * k: n for k, n in enumerate(COUNTS)}
 BRIGHTEST = 12.8
+LAWS = {"uniform": stats.uniform(0.0, 2.0), "rayleigh": stats.rayleigh(scale=np.sqrt(2.0 / np.pi))}
+BETWEEN = [(None, 16.25, round(np.sqrt(315 * 624))), (None, 13.5, round(28 * 28 / 49)), (None, None, 15533)]
+BETWEEN += [(14.0, 15.0, 88 - 28), (14.5, 15.0, 88 - 49), (5.0, 15.0, 88)]
 
 
 def columns(catalogue):
@@ -51,10 +52,7 @@ def test_uneven_skies_have_their_fractions_and_are_uniform_on_each_side(zone_deg
         assert stats.kstest(galactic.l.rad[side] / (2.0 * np.pi), "uniform").pvalue > P_VALUE
 
 
-@pytest.mark.parametrize(
-    ("distribution", "law"),
-    [("uniform", stats.uniform(0.0, 2.0)), ("rayleigh", stats.rayleigh(scale=np.sqrt(2.0 / np.pi)))],
-)
+@pytest.mark.parametrize(("distribution", "law"), LAWS.items())
 def test_synthetic_magnitudes_and_proper_motions(distribution, law):
     n_obj, mean = 20_000, 500.0
     sky = drawn(8, n_obj=n_obj, v_min=6.0, v_max=13.0, mean_pm=mean, pm_distribution=distribution)
@@ -103,14 +101,7 @@ def is_log_linear(v_mag, bright, faint, low, high):
     return stats.kstest((rank - low) / (high - low), "uniform").pvalue > P_VALUE
 
 
-@pytest.mark.parametrize(
-    ("v_min", "v_max", "n_obj"),
-    [
-        *((None, v_max, n_obj) for v_max, n_obj in TABLE_1.items()),
-        *((None, 16.25, round(np.sqrt(315 * 624))), (None, 13.5, round(28 * 28 / 49)), (None, None, 15533)),
-        *((14.0, 15.0, 88 - 28), (14.5, 15.0, 88 - 49), (5.0, 15.0, 88)),
-    ],
-)
+@pytest.mark.parametrize(("v_min", "v_max", "n_obj"), [*((None, v_max, n) for v_max, n in TABLE_1.items()), *BETWEEN])
 def test_counts_are_those_of_table_1_and_log_linear_between(v_min, v_max, n_obj):
     sky = quasars(1, v_max, v_min=v_min)
     assert len(sky) == n_obj

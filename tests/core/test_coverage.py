@@ -17,19 +17,14 @@ LEAK = {**EQUAL, "satellite_sigma_pm": 0.02, "motion_field": "t_2_0", "motion_fi
 GLIDE = {"aberration": True, "glide": [300.0, 500.0, 0.0], "sky_contrast": 0.8}
 NOISY = {**EQUAL, "reference_errors": "normal", "mean_pm": 300.0}
 LINKS = {
-    "quasars": QUASARS,
-    "aberration": {**QUASARS, "aberration": True},
-    "three-objects": {**EQUAL, "n_obj": 3},
+    **{"quasars": QUASARS, "noisy": NOISY, "leak": LEAK, "glide": {**EQUAL, **GLIDE}},
+    **{"aberration": {**QUASARS, "aberration": True}, "slope": {**NOISY, "omega_slope": [0.0, 0.0, 0.2]}},
+    **{"three-objects": {**EQUAL, "n_obj": 3}, "underestimated": {**EQUAL, "satellite_error_ratio": 2.0}},
     "poor-geometry": {**EQUAL, "zone_of_avoidance": 80.0, "method": "projected"},
     "radio-stars": {"catalogue": "radio-stars", "reference_errors": "catalogue", "n_obj": 10},
-    "noisy": NOISY,
     "equal-weights": {"n_obj": 40, "weighting": "equal", "v_min": 8.0, "v_max": 16.0},
     "zonal": {**EQUAL, "zonal_pm": 0.5, "zonal_pos": 0.5, "zonal_length": 60.0},
-    "underestimated": {**EQUAL, "satellite_error_ratio": 2.0},
-    "leak": LEAK,
-    "slope": {**NOISY, "omega_slope": [0.0, 0.0, 0.2]},
     "leak-into-a-glide": {**LEAK, "solve_glide": True, "satellite_sigma_pm": 1.0},
-    "glide": {**EQUAL, **GLIDE},
 }
 ONE = [("quasars", 1, 64), ("quasars", 1, 2048), ("poor-geometry", 1, 512), ("slope", 1, 128), ("leak", 1, 128)]
 SEVERAL = [("quasars", n_cat, 64) for n_cat in (2, 5, 12)] + [("aberration", 5, 64), ("aberration", 12, 1024)]

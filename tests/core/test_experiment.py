@@ -12,6 +12,18 @@ from tests.core import points
 from tests.core.points import CatalogueErrors, NormalErrors, OwnErrors, experiment, generators, link, point, scenario
 from tests.tiers import examples, slow
 
+VALUES = {"catalogue": ["synthetic", "quasars", "galaxies", "radio-stars"], "arithmetic": ["exact", "stored"]}
+VALUES |= {"satellite_errors": ["none", "normal", "magnitude"], "reference_errors": ["none", "normal"]}
+VALUES |= {"weighting": ["inverse-variance", "equal"], "omega": [(0.0, 0.0, 0.0), (-0.5, 0.9, 1.2)]}
+VALUES |= {"zone_of_avoidance": [0.0, 15.0], "sky_contrast": [0.0, 0.4], "n_obj": range(9, 101)}
+VALUES |= {name: [False, True] for name in ("solve_glide", "corrections", "aberration")}
+POINTS = st.fixed_dictionaries({name: st.sampled_from(values) for name, values in VALUES.items()})
+SHARED, N_SIM = st.sets(st.sampled_from(sorted(link.shared)), max_size=6), [1, 7, 200, points.ROWS, points.ROWS + 3]
+RANDOM = {"directions": "random", "epsilon": (1.0, 2.0, 3.0)}
+RATIO = {"satellite_error_ratio": 2.0, "satellite_errors": "normal"}
+NORMAL = {"reference_errors": NormalErrors(10.0, 1.0), "satellite_errors": NormalErrors(1.0, 1.0)}
+OWN = {"reference_errors": CatalogueErrors("reference"), "satellite_errors": CatalogueErrors()}
+
 
 @pytest.mark.parametrize("changes", [{}, {"reference_errors": "normal"}, {"solve_glide": True}])
 def test_samples_are_the_estimates_that_evaluate_adds_up(changes):
@@ -46,35 +58,28 @@ def test_random_directions_of_a_study_keep_the_size_and_change_with_the_catalogu
 
 @pytest.mark.parametrize("solve_glide", [False, True])
 def test_summarise_against_direct_formulas(solve_glide):
-    """One realisation per block gives the single errors, from which NumPy says the same."""
-    one = point(n_obj=12, satellite_errors="normal", reference_errors="normal", reference_sigma_pm=2.0)
-    one |= {"solve_glide": solve_glide}
-    n_cat, n_sim = 5, 8
-    rng = np.random.default_rng(4)
+    errors = {"satellite_errors": "normal", "reference_errors": "normal", "reference_sigma_pm": 2.0}
+    one, n_cat, n_sim, rng = point(n_obj=12, solve_glide=solve_glide, **errors), 5, 8, np.random.default_rng(4)
     blocks = [link.evaluate([one], 1, rng, np.random.default_rng(k)) for k in range(n_cat) for _ in range(n_sim)]
     sums = {name: sum(block[name] for block in blocks) for name in link.sums}
     results = {k: v[0] for k, v in link.summarise(sums, np.array([40.0]), np.array([5.0])).items()}
-    error = np.array([block["error"][0] for block in blocks])
+    names = ("error", "predicted_variance", "predicted_bias", "chi2", "condition_number", "predicted_square_variance")
+    error, predicted, predicted_bias, chi2, condition, of_squares = (
+        np.array([block[name][0] for block in blocks]) for name in names
+    )
     assert np.all(np.isnan(error[:, 6:]) == (not solve_glide))
-    error = np.nan_to_num(error)
-    predicted = np.array([block["predicted_variance"][0] for block in blocks])
-    predicted_bias = np.array([block["predicted_bias"][0] for block in blocks])
-    total = predicted + predicted_bias**2
-
-    expected = {
-        "n_obj": 12.0,
-        "dof": 4 * 12 - (9 if solve_glide else 6),
-        "chi2": np.mean([block["chi2"][0] for block in blocks]),
-        "covariance": np.cov(error[:, :6].T, bias=True),
-        "correlation": np.corrcoef(error[:, :6].T),
-        "condition_number": np.mean([block["condition_number"][0] for block in blocks]),
+    error, total = np.nan_to_num(error), predicted + predicted_bias**2
+    expected = {"n_obj": 12.0, "dof": 4 * 12 - (9 if solve_glide else 6)}
+    expected |= {"covariance": np.cov(error[:, :6].T, bias=True), "correlation": np.corrcoef(error[:, :6].T)}
+    for name, values in (("chi2", chi2), ("condition_number", condition)):
+        expected |= {name: values.mean(), f"{name}_mc_error": np.sqrt(2 * values.var() / 4)}
+    single, part = np.eye(9), of_squares.mean(axis=0)
+    parts = {"sigma": (single[:6], part[:6]), "glide_sigma": (single[6:], part[6:9])}
+    parts |= {
+        "sigma_orientation": (single[:3].mean(axis=0), part[9]),
+        "sigma_spin": (single[3:6].mean(axis=0), part[10]),
     }
-    of_squares = np.mean([block["predicted_square_variance"][0] for block in blocks], axis=0)
-    parts = {"sigma": np.eye(9)[:6], "glide_sigma": np.eye(9)[6:]}
-    parts |= {"sigma_orientation": np.eye(9)[:3].mean(axis=0), "sigma_spin": np.eye(9)[3:6].mean(axis=0)}
-    of = {"sigma": of_squares[:6], "glide_sigma": of_squares[6:9]}
-    of |= {"sigma_orientation": of_squares[9], "sigma_spin": of_squares[10]}
-    for name, weights in parts.items():
+    for name, (weights, of_these) in parts.items():
         if name == "glide_sigma" and not solve_glide:
             expected |= {name: np.full(3, np.nan) for name in results if name.startswith("glide")}
             continue
@@ -85,16 +90,11 @@ def test_summarise_against_direct_formulas(solve_glide):
         error_of_mean = np.sqrt(widened / n_cat) * by_catalogue.std(axis=-1, ddof=1)
         expected |= {
             name: sigma,
-            f"{name}_mc_error": sigma * np.sqrt(of[name] / 40) / (2 * whole**2),
+            f"{name}_mc_error": sigma * np.sqrt(of_these / 40) / (2 * whole**2),
             f"{name}_predicted": np.sqrt(weights @ predicted.mean(axis=0)),
             f"{name}_rms_predicted": whole,
             f"{name}_catalogue_error": error_of_mean / (2 * whole),
         }
-    chi2, condition = (np.array([block[name][0] for block in blocks]) for name in ("chi2", "condition_number"))
-    expected |= {
-        "chi2_mc_error": np.sqrt(2 * chi2.var() / 4),
-        "condition_number_mc_error": np.sqrt(2 * condition.var() / 4),
-    }
     for name, part in (("bias", slice(0, 6)), ("glide_bias", slice(6, 9)))[: 1 + solve_glide]:
         expected[name] = error.mean(axis=0)[part]
         expected[f"{name}_predicted"] = predicted_bias.mean(axis=0)[part]
@@ -127,8 +127,7 @@ def test_catalogue_error_is_unknown_for_one_catalogue_and_zero_without_errors():
     assert np.all(np.isnan(link.summarise(noisy, np.array([10.0]), np.ones(1))["sigma_catalogue_error"]))
     for n_cat in (2.0, 3.0, 4.0):
         few = link.summarise(noisy, np.array([10.0]), np.array([n_cat]))
-        assert np.all(np.isnan(few["sigma_catalogue_error"]))
-        assert np.all(np.isnan(few["bias_mc_error"]))
+        assert np.all(np.isnan([few["sigma_catalogue_error"], few["bias_mc_error"]]))
     perfect = points.evaluated(10, point(satellite_errors="none"))
     results = link.summarise(perfect, np.array([10.0]), np.array([5.0]))
     assert np.all(results["sigma_catalogue_error"] < 1e-12)
@@ -136,15 +135,10 @@ def test_catalogue_error_is_unknown_for_one_catalogue_and_zero_without_errors():
 
 
 @settings(max_examples=examples(25))
-@given(
-    changes=st.lists(st.sets(st.sampled_from(sorted(link.shared)), max_size=6), min_size=1, max_size=4),
-    sizes=st.lists(st.integers(3, 150), min_size=4, max_size=4),
-    n_sim=st.sampled_from([1, 7, 200, points.ROWS, points.ROWS + 3]),
-    data=st.data(),
-)
-def test_no_bit_depends_on_who_shares_the_draw(changes, sizes, n_sim, data):
+@given(st.lists(st.tuples(SHARED, st.integers(3, 150)), min_size=1, max_size=4), st.sampled_from(N_SIM), st.data())
+def test_no_bit_depends_on_who_shares_the_draw(changes, n_sim, data):
     drawn = []
-    for names, n_obj in zip(changes, sizes, strict=False):
+    for names, n_obj in changes:
         needed = {"omega_slope"} & {name.removesuffix("_size") for name in names}  # a size needs its direction
         drawn.append(point(**{"n_obj": n_obj} | {name: points.OTHER[name] for name in names | needed}))
     order = data.draw(st.permutations(range(len(drawn))))
@@ -164,24 +158,6 @@ def test_a_users_accuracy_curve_is_computed_for_each_catalogue_by_itself():
     together, alone = points.simulate(both, 30, *generators()), points.simulate(both[:1], 30, *generators())
     np.testing.assert_array_equal(together[0]["error"], alone[0]["error"])
     np.testing.assert_array_equal(together[0]["predicted_variance"], alone[0]["predicted_variance"])
-
-
-POINTS = st.fixed_dictionaries(
-    {
-        "catalogue": st.sampled_from(["synthetic", "quasars", "galaxies", "radio-stars"]),
-        "n_obj": st.integers(9, 100),
-        "weighting": st.sampled_from(["inverse-variance", "equal"]),
-        "solve_glide": st.booleans(),
-        "corrections": st.booleans(),
-        "aberration": st.booleans(),
-        "arithmetic": st.sampled_from(["exact", "stored"]),
-        "reference_errors": st.sampled_from(["none", "normal"]),
-        "satellite_errors": st.sampled_from(["none", "normal", "magnitude"]),
-        "omega": st.sampled_from([(0.0, 0.0, 0.0), (-0.5, 0.9, 1.2)]),
-        "zone_of_avoidance": st.sampled_from([0.0, 15.0]),
-        "sky_contrast": st.sampled_from([0.0, 0.4]),
-    }
-)
 
 
 def streams(n_cat, seed=1):
@@ -211,15 +187,7 @@ def test_so_it_is_where_objects_come_in_several_tiles_and_catalogues_in_several_
     assert_same_bits(here, 100, 5)
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"directions": "random", "epsilon": (1.0, 2.0, 3.0)},
-        {"method": "projected"},
-        {"zonal_pm": 0.1},
-        {"satellite_error_ratio": 2.0, "satellite_errors": "normal"},
-    ],
-)
+@pytest.mark.parametrize("changes", [RANDOM, RATIO, {"method": "projected"}, {"zonal_pm": 0.1}])
 def test_what_cannot_be_stacked_is_computed_one_by_one(changes):
     here = link.defaults() | {"n_obj": 30} | changes
     assert not points.can_stack(scenario(here), 10)
@@ -239,10 +207,6 @@ def at_a_pole(found, some):
 
 def in_one_place(found, some):
     return replace(found, ra=found.ra * 0.0 + 1.0, dec=found.dec * 0.0 + 0.5)
-
-
-NORMAL = {"reference_errors": NormalErrors(10.0, 1.0), "satellite_errors": NormalErrors(1.0, 1.0)}
-OWN = {"reference_errors": CatalogueErrors("reference"), "satellite_errors": CatalogueErrors()}
 
 
 @pytest.mark.parametrize(

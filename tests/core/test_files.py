@@ -17,10 +17,14 @@ NAMES = ("ra", "dec", "pmra", "pmdec")
 ERRORS = {f"{name}_error": 0.1 * k + np.array([0.01, 0.02, 0.03, 0.04]) for k, name in enumerate(NAMES, 1)}
 ANONYMOUS = {"ra": RA, "dec": DEC, "pmra": PMRA, "pmdec": PMDEC, "phot_g_mean_mag": MAG}
 GAIA = ANONYMOUS | {"source_id": np.arange(4)}
-UNITS = {"ra": "deg", "dec": "deg", "pmra": "mas / yr", "pmdec": "mas / yr", "phot_g_mean_mag": "mag",
-         "ra_error": "mas", "dec_error": "mas", "pmra_error": "mas / yr", "pmdec_error": "mas / yr"}  # fmt: skip
+UNITS = {"ra": "deg", "dec": "deg", "phot_g_mean_mag": "mag", "ra_error": "mas", "dec_error": "mas"}
+UNITS |= dict.fromkeys(("pmra", "pmdec", "pmra_error", "pmdec_error"), "mas / yr")
 FORMATS = {".ecsv": "ascii.ecsv", ".csv": "ascii.csv", ".fits": "fits", ".vot": "votable", ".mrt": "ascii.mrt"}
 FORMATS |= {".parquet": "parquet"}
+EVEN, ALL = np.array([False, True, False, True]), GAIA | ERRORS
+THREE = {f"{pair}_corr": EVEN * size for pair, size in (("ra_dec", 0.9), ("ra_pmra", 0.9), ("dec_pmra", -0.9))}
+TWICE = {"reference_pmra_error": "pmra_error", "satellite_pmra_error": "pmra_error"}
+FACTORS = {"": 1.0, "reference": 2.0, "satellite": 3.0}
 
 
 @pytest.fixture
@@ -108,19 +112,13 @@ def test_errors_of_both_motions_or_of_the_position_count_and_the_others_are_zero
 
 
 def test_correlations_are_those_of_each_pair(write):
-    pairs = [(i, j) for i in range(4) for j in range(i + 1, 4)]
-    some = {
-        f"{NAMES[i]}_{NAMES[j]}_corr": 0.05 * (k + 1) * np.array([1, -1, 2, 0]) for k, (i, j) in enumerate(pairs[1:])
-    }
-    found, expected = read(write(GAIA | ERRORS | some)).errors.correlation, np.tile(np.eye(4), (4, 1, 1))
-    for (i, j), values in zip(pairs[1:], some.values(), strict=True):
-        expected[:, i, j] = expected[:, j, i] = values
+    some, expected = {}, np.tile(np.eye(4), (4, 1, 1))
+    for k, (i, j) in enumerate([*combinations(range(4), 2)][1:], start=1):
+        expected[:, i, j] = expected[:, j, i] = 0.05 * k * np.array([1, -1, 2, 0])
+        some[f"{NAMES[i]}_{NAMES[j]}_corr"] = expected[:, i, j]
+    found = read(write(GAIA | ERRORS | some)).errors.correlation
     np.testing.assert_array_equal(found, expected)  # of the pair that is not there it is zero
     assert read(write(GAIA | ERRORS)).errors.correlation is None
-
-
-EVEN, ALL = np.array([False, True, False, True]), GAIA | ERRORS
-TWICE = {"reference_pmra_error": "pmra_error", "satellite_pmra_error": "pmra_error"}
 
 
 @pytest.mark.parametrize(
@@ -135,12 +133,7 @@ TWICE = {"reference_pmra_error": "pmra_error", "satellite_pmra_error": "pmra_err
         *(({k: v for k, v in GAIA.items() if k != name}, {}, f"no column '{name}'") for name in NAMES),
         *((ALL | {name: [0.1, 0.1, -0.1, 0.1]}, {}, f"a negative {name} in row 3 (-0.1)") for name in ERRORS),
         *((ALL | {"ra_dec_corr": EVEN * value}, {}, "impossible correlations") for value in (1.2, -1.0)),
-        # each pair alone would do
-        (
-            ALL | {f"{pair}_corr": EVEN * 0.9 for pair in ("ra_dec", "ra_pmra")} | {"dec_pmra_corr": EVEN * -0.9},
-            {},
-            "impo",
-        ),
+        (ALL | THREE, {}, "impossible correlations"),  # each pair alone would do
         (GAIA | {"dec": [60.0, -30.0, 0.5, 90.0]}, {}, "is not between -90 and 90 deg, poles excluded, in row 4 (90)"),
         (GAIA | {"ra": [10.0, 360.5, -180.0, 400.0]}, {}, "not between -180 and 360 deg in row 2 (360.5), 4 (400)"),
         (GAIA | {"ra": [80.0] * 4, "dec": [95.0] * 4}, {}, "4 (95); are ra and dec swapped?"),
@@ -156,10 +149,8 @@ def test_a_file_is_taken_whole_by_magnitude_or_by_chance(write):
     table = write(GAIA | ERRORS)
     np.testing.assert_array_equal(read(table, v_max=14.0).v_mag, MAG[:3])
     np.testing.assert_array_equal(read(table, v_min=10.0, v_max=14.0).v_mag, MAG[1:3])
-    pairs = [
-        tuple(drawn(seed, catalogue="file", file=table, n_obj=2, v_max=14.0).v_mag.tolist()) for seed in range(300)
-    ]
-    counts = [pairs.count(pair) for pair in ((9.5, 12.0), (9.5, 14.0), (12.0, 14.0))]
+    pairs = [drawn(k, catalogue="file", file=table, n_obj=2, v_max=14.0).v_mag.tolist() for k in range(300)]
+    counts = [pairs.count(pair) for pair in ([9.5, 12.0], [9.5, 14.0], [12.0, 14.0])]
     assert sum(counts) == 300  # no object twice, none beyond the limit
     assert np.all(np.abs(np.array(counts) - 100) < 4 * np.sqrt(300 * 2 / 9))  # binomial
     moved = read(table, positions="isotropic", zone_of_avoidance=10.0)
@@ -172,9 +163,6 @@ def side(name, factor):
     return {f"{name}_{key}": factor * values for key, values in ERRORS.items()}
 
 
-FACTORS = {"": 1.0, "reference": 2.0, "satellite": 3.0}
-
-
 @pytest.mark.parametrize("there", [names for n in (1, 2, 3) for names in combinations(FACTORS, n)])
 def test_each_side_has_its_own_errors_or_those_of_both(there, write):
     columns = [side(name, FACTORS[name]) if name else ERRORS for name in there]
@@ -182,8 +170,7 @@ def test_each_side_has_its_own_errors_or_those_of_both(there, write):
     found = read(table).take(np.array([2, 0]))
     for name in ("reference", "satellite"):
         if name in there or "" in there:
-            factor = FACTORS[name if name in there else ""]
-            expected = factor * np.array(list(ERRORS.values())).T[[2, 0]] * MAS
+            expected = FACTORS[name if name in there else ""] * np.array(list(ERRORS.values())).T[[2, 0]] * MAS
             np.testing.assert_allclose(found.own_errors(name).sigma, expected, rtol=1e-14)
         else:
             asked = point(catalogue="file", file=table, n_obj=None) | {f"{name}_errors": "catalogue"}

@@ -1,5 +1,8 @@
 """Frames, the design matrix and its solution, unknowns and harmonics; against SciPy, astropy and ERFA."""
 
+import re
+from dataclasses import replace
+
 import erfa
 import numpy as np
 import pytest
@@ -27,13 +30,20 @@ from tests.core.points import core_design as design_matrix, sky
 
 ROUNDING = 1e-15  # a few units in the last place of numbers of order 1
 MILLI_ROTATION = (np.array([1.0, -2.0, 0.5]) * MAS, np.array([0.3, 0.7, -1.1]) * MAS)
+extended = pytest.mark.skipif(np.finfo(np.longdouble).eps > 1e-18, reason="needs 80-bit or longer long doubles")
+# FK5 against Hipparcos in ERFA, which rotates the frame where the link rotates the vector: the signs are ERFA's own
+EPSILON = np.array([-19.9, -9.1, 22.9]) * MAS  # Mignard & Froeschle 2000, A&A 354, 732
+OMEGA = np.array([-0.30, 0.60, 0.70]) * MAS  # per Julian year; both catalogues at J2000.0
+WRONG_LINES = [("", None, "no unknowns"), ("spin,spin", None, "spin twice"), ("vsh_motion", None, "give a degree")]
+WRONG_LINES += [("vsh_motion:3-2", None, "the lower one first"), ("spin,glide,vsh_motion:1", None, "are these already")]
+WRONG_LINES += [("orientation", ("mag", [6.0]), "not among the unknowns"), ("spin", ("g", [8.0, 6.0]), "increase")]
+WRONG_LINES += [("spin", ("g", [6.0]), "g is missing in 1 of 2")]
 
 
 def reference_differences(ra, dec, pmra, pmdec, epsilon, omega):
     """Step B and the subtraction in 80-bit numbers, whose rounding is 2000 times finer."""
-    ra, dec, pmra, pmdec, epsilon, omega = (
-        np.asarray(x, np.longdouble) for x in (ra, dec, pmra, pmdec, epsilon, omega)
-    )
+    numbers = (ra, dec, pmra, pmdec, epsilon, omega)
+    ra, dec, pmra, pmdec, epsilon, omega = (np.asarray(x, np.longdouble) for x in numbers)
     angle = np.sqrt(np.sum(epsilon**2))
     x, y, z = -epsilon / angle
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
@@ -48,9 +58,6 @@ def reference_differences(ra, dec, pmra, pmdec, epsilon, omega):
     d_ra -= turn * np.round(d_ra / turn)
     d_pm = pmra - np.sum(satellite.p * v, axis=0), pmdec - np.sum(satellite.q * v, axis=0)
     return np.stack([d_ra * np.cos(dec), dec - dec_sat, *d_pm])
-
-
-extended = pytest.mark.skipif(np.finfo(np.longdouble).eps > 1e-18, reason="needs 80-bit or longer long doubles")
 
 
 def test_position_never_returns_a_full_turn():
@@ -103,29 +110,15 @@ def test_difference_in_ra_wraps(differences, ra, turn):
 
 
 def test_units_are_astropys():
-    ours, theirs = (
-        (MAS, frames.MICROARCSEC, frames.DEGREE, frames.ARCSEC),
-        (units.mas, units.uas, units.deg, units.arcsec),
-    )
-    assert ours == pytest.approx([unit.to(units.rad) for unit in theirs], rel=1e-14)
+    theirs = [unit.to(units.rad) for unit in (units.mas, units.uas, units.deg, units.arcsec)]
+    np.testing.assert_allclose([MAS, frames.MICROARCSEC, frames.DEGREE, frames.ARCSEC], theirs, rtol=1e-14)
 
 
 def test_galactic_axes_against_astropy():
     xyz = SkyCoord([0, 90, 0] * units.deg, [0, 0, 90] * units.deg, frame="galactic").icrs.cartesian.xyz.value
-    np.testing.assert_allclose(
-        GALACTIC_AXES, xyz.T, atol=0.03 * frames.ARCSEC
-    )  # it hangs them on FK5, 0.023 arcsec off
+    np.testing.assert_allclose(GALACTIC_AXES, xyz.T, atol=0.03 * frames.ARCSEC)  # it has those of FK5, 0.023 arcsec off
     np.testing.assert_allclose(GALACTIC_AXES @ GALACTIC_AXES.T, np.eye(3), atol=1e-15)
     assert np.linalg.det(GALACTIC_AXES) == pytest.approx(1.0, abs=1e-14)
-
-
-# FK5 against Hipparcos in ERFA: an orientation and a spin that somebody else published and coded
-#
-# ERFA rotates the frame where the link rotates the vector, so seen from Hipparcos (the satellite) to FK5 (the
-# reference) the signs are ERFA's own: r_FK5 = R^T r_Hip with R = exp(-[epsilon x]).
-
-EPSILON = np.array([-19.9, -9.1, 22.9]) * MAS  # Mignard & Froeschle 2000, A&A 354, 732
-OMEGA = np.array([-0.30, 0.60, 0.70]) * MAS  # per Julian year; both catalogues at J2000.0
 
 
 def test_step_b_reproduces_the_hipparcos_catalogue_star_by_star():
@@ -168,17 +161,13 @@ def test_columns_are_the_derivative_of_proper_motions_by_the_glide():
 
 
 def test_solve_normal_refuses_what_the_inverse_refuses():
-    good = np.eye(6)
-    flat = np.ones((6, 6))
-    indefinite = np.eye(6)
+    good, indefinite = np.eye(6), np.eye(6)
     indefinite[0, 1] = indefinite[1, 0] = 1.0 + 1e-9
-    weightless = np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 0.0])
-    for bad in (flat, indefinite, weightless):
+    for bad in (np.ones((6, 6)), indefinite, np.diag([1.0, 1.0, 1.0, 1.0, 1.0, 0.0])):
         with pytest.raises(LinkError) as by_inverse:
             inverse_and_condition(np.stack([good, bad]))
-        with pytest.raises(LinkError) as by_elimination:
+        with pytest.raises(LinkError, match=re.escape(str(by_inverse.value))):
             solve_normal(np.stack([good, bad], axis=-1), np.ones((6, 2)))
-        assert str(by_elimination.value) == str(by_inverse.value)
 
 
 @pytest.mark.parametrize("side", [0, 1])
@@ -199,29 +188,26 @@ def test_negative_and_partly_zero_errors_are_named(side):
 def test_the_fields_are_the_gradients_of_scipys_harmonics():
     objects, step = Objects(*sky(50)), 1e-5
     fields = toroidal(7, objects.ra, objects.dec)
-    place = 0
-    for degree in range(1, 8):
-        for term in terms("t", degree):
+    ra, dec = objects.ra, objects.dec
 
-            def harmonic(ra, dec, term=term):
-                return sph_harm_y(term.degree, term.order, 0.5 * np.pi - dec, ra)
+    def harmonic(term, ra, dec):
+        return sph_harm_y(term.degree, term.order, 0.5 * np.pi - dec, ra)
 
-            ra, dec = objects.ra, objects.dec
-            by_dec = (harmonic(ra, dec + step) - harmonic(ra, dec - step)) / (2.0 * step)
-            by_ra = (harmonic(ra + step, dec) - harmonic(ra - step, dec)) / (2.0 * step) / np.cos(dec)
-            field = np.array([by_dec, -by_ra]) / np.sqrt(degree * (degree + 1))
-            expected = {"": field.real, "re": 2.0 * field.real, "im": -2.0 * field.imag}[term.part]
-            np.testing.assert_allclose(fields[place], expected, atol=2e-7, rtol=1e-6)
-            place += 1
+    for found, term in zip(fields, (one for degree in range(1, 8) for one in terms("t", degree)), strict=True):
+        by_dec = (harmonic(term, ra, dec + step) - harmonic(term, ra, dec - step)) / (2.0 * step)
+        by_ra = (harmonic(term, ra + step, dec) - harmonic(term, ra - step, dec)) / (2.0 * step) / np.cos(dec)
+        field = np.array([by_dec, -by_ra]) / np.sqrt(term.degree * (term.degree + 1))
+        expected = {"": field.real, "re": 2.0 * field.real, "im": -2.0 * field.imag}[term.part]
+        np.testing.assert_allclose(found, expected, atol=2e-7, rtol=1e-6)
+    ra, dec = np.array([0.3, 0.3]), np.array([0.5 * np.pi, -0.5 * np.pi])  # the poles
+    np.testing.assert_allclose(toroidal(4, ra, dec), toroidal(4, ra, dec * (1.0 - 1e-9)), atol=1e-7)
 
 
 def test_degree_1_is_rotation_and_glide():
     objects = Objects(*sky(40)[:2], *np.zeros((2, 40)))  # at rest: no motion is turned
-    factor = np.sqrt(8.0 * np.pi / 3.0)
-    rotation = np.array([0.3, -0.7, 1.1])
-    r1, r2, r3 = rotation
+    r1, r2, r3 = rotation = np.array([0.3, -0.7, 1.1])
     # Mignard & Klioner 2012, Sect. 4.1
-    coefficients = np.array([factor * r3, -np.sqrt(4.0 * np.pi / 3.0) * r1, np.sqrt(4.0 * np.pi / 3.0) * r2])
+    coefficients = np.sqrt(4.0 * np.pi / 3.0) * np.array([np.sqrt(2.0) * r3, -r1, r2])
     for kind, *vectors in (("motion", "spin", "glide"), ("position", "orientation", "position_glide")):
         harmonics = parse_unknowns(f"vsh_{kind}:1").matrix(objects)
         for vector, part in zip(vectors, (harmonics[..., :3], harmonics[..., 3:]), strict=True):
@@ -240,7 +226,7 @@ def test_a_spin_for_each_bin_acts_in_its_bin_alone():
     objects = Objects(*sky(4))
     columns = {"mag": np.array([5.0, 6.0, 7.9, 12.0])}
     unknowns = parse_unknowns("spin", ("mag", [6.0, 8.0]), columns)
-    matrix = unknowns.matrix(Objects(objects.ra, objects.dec, objects.pmra, objects.pmdec, columns))
+    matrix = unknowns.matrix(replace(objects, columns=columns))
     plain = parse_unknowns("spin").matrix(objects)
     assert unknowns.labels[0] == "omega_x[-inf,6)"
     for source, which in enumerate([0, 1, 1, 2]):
@@ -250,25 +236,7 @@ def test_a_spin_for_each_bin_acts_in_its_bin_alone():
     assert len(parse_unknowns("spin", ("mag", [1.0, 2.0]), columns)) == 3  # bins without sources have no unknowns
 
 
-@pytest.mark.parametrize(
-    ("text", "bins", "message"),
-    [
-        ("", None, "no unknowns"),
-        ("spin,spin", None, "spin twice"),
-        ("vsh_motion", None, "give a degree"),
-        ("vsh_motion:3-2", None, "the lower one first"),
-        ("spin,glide,vsh_motion:1", None, "are these already"),
-        ("orientation", ("mag", [6.0]), "not among the unknowns"),
-        ("spin", ("g", [8.0, 6.0]), "increase"),
-        ("spin", ("g", [6.0]), "g is missing in 1 of 2"),
-    ],
-)
+@pytest.mark.parametrize(("text", "bins", "message"), WRONG_LINES)
 def test_a_wrong_line_is_refused(text, bins, message):
     with pytest.raises(ValueError, match=message):
         parse_unknowns(text, bins, {"g": np.array([5.0, np.nan])})
-
-
-def test_the_fields_are_finite_and_right_at_the_poles():
-    ra, dec = np.array([0.3, 0.3]), np.array([0.5 * np.pi, -0.5 * np.pi])
-    near = toroidal(4, ra, dec * (1.0 - 1e-9))
-    np.testing.assert_allclose(toroidal(4, ra, dec), near, atol=1e-7)

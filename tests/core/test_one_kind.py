@@ -75,15 +75,11 @@ def test_one_kind_of_observable_is_solved_alone(kind, weighting, side, method, c
 @pytest.mark.parametrize("corrections", [True, False])
 @pytest.mark.parametrize("method", ["catalogue", "projected"])
 def test_the_orientation_that_turns_motions_is_taken_as_known(corrections, method, tmp_path):
-    """A21: an orientation of 10 arcsec turns proper motions of 400 mas/yr, which biases the spin where it is left out
-    and nothing where it is not; the scatter is the same.
-    """
+    """A21: an orientation of 10 arcsec turns proper motions, which biases the spin where it is left out."""
     epsilon = np.array([3000.0, -8000.0, 5000.0])  # mas
-    at = point(
-        tmp_path, "motions", epsilon=tuple(epsilon), omega=(0.0, 0.0, 0.0), corrections=corrections, method=method
-    )
-    at |= {"satellite_errors": "catalogue", "reference_errors": "none"}
-    found = results(at)
+    options = {"corrections": corrections, "method": method, "epsilon": tuple(epsilon), "omega": (0.0, 0.0, 0.0)}
+    options |= {"satellite_errors": "catalogue", "reference_errors": "none"}
+    found = results(point(tmp_path, "motions", **options))
     turn = (np.cos(RA) * epsilon[0] + np.sin(RA) * epsilon[1]) / np.cos(DEC) * np.pi / 180.0 / 3600e3
     left_out = np.array([-MOTIONS[1] * turn, MOTIONS[0] * turn])
     bias = 0.0 if corrections else solution("inverse-variance", left_out).estimate
@@ -95,15 +91,10 @@ def test_the_orientation_that_turns_motions_is_taken_as_known(corrections, metho
 
 
 def test_the_spin_has_the_numbers_that_it_has_beside_positions():
-    """The other kind has random numbers of its own: what is determined does not change with it, nor with who shares the
-    block.
-    """
-    normal = {"satellite_errors": "normal", "n_obj": 20}
-    both, motions, positions = (
-        link.defaults() | normal | changes
-        for changes in ({}, {"satellite_sigma_pos": 0.0}, {"satellite_sigma_pm": 0.0})
-    )
-    together, alone = results(both, motions, positions), [results(p) for p in (both, motions, positions)]
+    """What is determined does not change with the other kind, nor with who shares the block."""
+    three = [{}, {"satellite_sigma_pos": 0.0}, {"satellite_sigma_pm": 0.0}]
+    three = [link.defaults() | {"satellite_errors": "normal", "n_obj": 20} | changes for changes in three]
+    together, alone = results(*three), [results(one) for one in three]
     for name, values in together.items():
         np.testing.assert_array_equal(values, np.concatenate([one[name] for one in alone]), err_msg=name)
     assert together["sigma_spin"][1] == pytest.approx(together["sigma_spin"][0], rel=1e-12)

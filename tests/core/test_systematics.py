@@ -12,6 +12,9 @@ from tests.core.points import GALACTIC_AXES, MAS, ZonalErrors, parse_pattern, pa
 from tests.core.reference import design_matrix, solve
 
 NORMAL = {"satellite_errors": "normal"}
+GLIDE = 4.0 * points.MICROARCSEC * GALACTIC_AXES[0]
+NO_TRUTH = {"epsilon": (0.0, 0.0, 0.0), "omega": (0.0, 0.0, 0.0), "satellite_errors": "none", "aberration": True}
+FLAT = {"satellite_errors": "normal", "reference_errors": "normal"}
 
 
 def sky(n, seed=3):
@@ -53,11 +56,8 @@ def test_zonal_errors_are_correlated_by_distance_alone(length):
         distance = np.arccos(np.clip(r[:, a] @ r[:, b], -1.0, 1.0)) if a != b else 0.0
         normal = np.cross(r[:, a], r[:, b]) if a != b else p[:, a]
         across = normal / np.linalg.norm(normal)
-        turns = []
-        for k in (a, b):
-            along_arc = np.cross(across, r[:, k])
-            turns.append([[along_arc @ p[:, k], along_arc @ q[:, k]], [across @ p[:, k], across @ q[:, k]]])
-        found = np.array(turns[0]) @ covariance[:, a, :, b] @ np.array(turns[1]).T
+        here, there = (np.array([np.cross(across, r[:, k]), across]) @ np.array([p[:, k], q[:, k]]).T for k in (a, b))
+        found = here @ covariance[:, a, :, b] @ there.T
         np.testing.assert_allclose(found, kernel(errors, distance) * np.eye(2), atol=1e-12)
 
 
@@ -80,13 +80,9 @@ def test_drawn_zonal_errors_have_that_covariance_and_are_normal():
 @pytest.mark.parametrize("satellite_errors", ["normal", "none"])
 def test_what_zonal_errors_do_to_the_link_is_predicted(satellite_errors):
     """G Sigma G' with the whole 4N x 4N covariance, formed from the kernel's harmonics and NumPy."""
-    catalogue = sky(50)
-    setup = set_up(
-        catalogue, scenario(point(satellite_errors=satellite_errors, zonal_pos=2.0, zonal_pm=0.7, zonal_length=25.0))
-    )
-    gain = gain_of(setup)
-    errors = scenario(point(zonal_pm=1.0, zonal_length=25.0)).zonal
-    covariance = field_covariance(errors, catalogue)
+    catalogue, zonal = sky(50), {"zonal_pos": 2.0, "zonal_pm": 0.7, "zonal_length": 25.0}
+    setup = set_up(catalogue, scenario(point(satellite_errors=satellite_errors, **zonal)))
+    gain, covariance = gain_of(setup), field_covariance(scenario(point(**zonal)).zonal, catalogue)
     expected = np.einsum("kin,lin,ni->kl", gain, gain, setup.satellite.sigma**2)
     for part, sigma in ((slice(0, 2), 2.0 * MAS), (slice(2, 4), 0.7 * MAS)):
         flat = gain[:, part].reshape(6, -1)
@@ -111,10 +107,6 @@ def test_the_leak_of_known_fields_is_predicted():
     np.testing.assert_allclose(points.design_of(setup).bias, expected, atol=1e-7 * MAS)
 
 
-GLIDE = 4.0 * points.MICROARCSEC * GALACTIC_AXES[0]
-NO_TRUTH = {"epsilon": (0.0, 0.0, 0.0), "omega": (0.0, 0.0, 0.0), "satellite_errors": "none", "aberration": True}
-
-
 def leaks(n_cat, **changes):
     """The estimates of many catalogues in units of the glide, without orientation, spin and noise; shape (n_cat, K)."""
     here = scenario(point(**(NO_TRUTH | changes)))
@@ -125,12 +117,7 @@ def leaks(n_cat, **changes):
 @pytest.mark.slow
 @pytest.mark.parametrize(("zone_deg", "contrast"), [(0.0, 0.4), (0.0, 0.0), (25.0, 0.4), (60.0, -0.5)])
 def test_leak_on_an_uneven_sky(zone_deg, contrast):
-    """The spin omega that a satellite's glide g fakes on an infinite sky.
-
-    The normal equations of d = -(g - r (r.g)) are (1 - <r r^T>) omega = <r x d> = -<r> x g. On a sky that is uniform
-    on each side of the Galactic plane, <r> = contrast (1 + s)/2 along the pole with s = sin of the zone's limit, and
-    <r r^T> is diagonal there, with <sin^2 b> = (1 + s + s^2)/3. Without a zone: -(3/4) contrast pole x g.
-    """
+    """A glide g fakes a spin with (1 - <r r^T>) omega = -<r> x g on an infinite sky; s is sin of the zone's limit."""
     spin = leaks(100, n_obj=4000, zone_of_avoidance=zone_deg, sky_contrast=contrast)[:, 3:]
     error_of_mean, s = spin.std(axis=0) / np.sqrt(len(spin)), np.sin(np.radians(zone_deg))
     mean = GALACTIC_AXES[2] * contrast * (1.0 + s) / 2.0
@@ -157,15 +144,11 @@ def test_the_size_of_a_pattern_is_its_rms_over_the_sky():
 
 # ----- errors of each object
 
-FLAT = {"satellite_errors": "normal", "reference_errors": "normal"}
 
-
-def with_own_errors(n_obj=50, correlated=True):
+def with_own_errors(n_obj=50):
     """Synthetic objects with different errors for each observable and random correlations for each object."""
     sigma, correlation = points.random_covariances(n_obj)
-    return replace(
-        points.drawn(1, n_obj=n_obj), errors=points.OwnErrors(sigma * MAS, correlation if correlated else None)
-    )
+    return replace(points.drawn(1, n_obj=n_obj), errors=points.OwnErrors(sigma * MAS, correlation))
 
 
 @pytest.mark.parametrize("model", ["amex", "gaia", "gaia-2001"])
@@ -210,14 +193,12 @@ def test_a_floor_dilutes_the_correlations_of_an_object():
 @pytest.mark.parametrize("reference_errors", ["none", "normal"])
 @pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
 def test_underestimated_errors_scatter_more_with_the_same_weights(weighting, reference_errors):
-    """Of both sides: the same normals give three times the deviation, and chi2 is nine times its expectation."""
     both = {"satellite_errors": "normal", "reference_errors": reference_errors, "weighting": weighting}
     honest = point(n_obj=60, epsilon_size=0.0, **both)
     ratios = {"satellite_error_ratio": 3.0} | ({"reference_error_ratio": 3.0} if reference_errors == "normal" else {})
     one, other = (points.evaluated(300, p) for p in (honest, honest | ratios))
-    np.testing.assert_allclose(other["error_products"], 9.0 * one["error_products"], rtol=2e-5, atol=1e-5)
-    np.testing.assert_allclose(other["predicted_variance"], 9.0 * one["predicted_variance"], rtol=1e-9)
-    np.testing.assert_allclose(other["chi2"], 9.0 * one["chi2"], rtol=1e-5)
+    for name, rtol in (("error_products", 2e-5), ("predicted_variance", 1e-9), ("chi2", 1e-5)):
+        np.testing.assert_allclose(other[name], 9.0 * one[name], rtol=rtol, atol=rtol)
 
 
 def test_one_side_underestimated_is_predicted():

@@ -14,17 +14,10 @@ def summary(sums, n, n_cat):
     return {"share": sums["heads"] / sums["tosses"]}
 
 
-experiment = Experiment(
-    name="coins",
-    version=1,
-    parameters=(
-        Parameter("coins", "int", 10, "coins in one toss", minimum=1),
-        Parameter("chance", "float", 0.5, "mean chance of heads", minimum=0.2, maximum=0.8),
-        Parameter("metal", "str", "gold", "what it is made of", choices=("gold", "tin")),
-    ),
-    sums={"heads": (), "tosses": ()},
-    outputs=(Output("share", "", "share of heads", headline=True),),
-    evaluate=toss,
-    summarise=summary,
-    cost_unit="random numbers",
+PARAMETERS = (
+    Parameter("coins", "int", 10, "coins in one toss", minimum=1),
+    Parameter("chance", "float", 0.5, "mean chance of heads", minimum=0.2, maximum=0.8),
+    Parameter("metal", "str", "gold", "what it is made of", choices=("gold", "tin")),
 )
+OUTPUTS, SUMS = (Output("share", "", "share of heads", headline=True),), {"heads": (), "tosses": ()}
+experiment = Experiment("coins", 1, PARAMETERS, SUMS, OUTPUTS, toss, summary, cost_unit="random numbers")

@@ -62,24 +62,19 @@ def place(request, tmp_path):
     return request.getfixturevalue("bucket") + "/place/s.zarr"
 
 
-SHORT = {
-    "quasars": {"settings": ["n_sim=20", "n_cat=10"]},
-    "sqrt-n": {"settings": ["n_sim=20", "n_cat=10"]},
-    "mission-length": {"settings": ["n_sim=10", "n_cat=20"]},
-    "error-surface": {"settings": ["n_sim=10", "n_cat=4"], "axes": ["reference_error_scale=0:4:1"]},
-    "algorithm": {"settings": ["n_cat=4"]},
-    "grid": {"settings": ["n_sim=10", "n_cat=2"], "axes": ["v_max=16,17"]},
-    "aberration": {"settings": ["n_sim=4", "n_cat=4"], "axes": ["v_max=14,15,16,18"]},
-    "radio-stars": {"settings": ["n_sim=10", "n_cat=20"]},
-    "galaxies": {"settings": ["n_sim=10", "n_cat=10"]},
-    "scatter": {"settings": ["n_sim=1000"]},
-    "degree-two": {"settings": ["n_sim=4", "n_cat=5"], "axes": ["n_obj=30,100", "motion_field=t_2_0,s_2_1_re"]},
-    "zonal-errors": {"settings": ["n_sim=16", "n_cat=5"], "axes": ["n_obj=30,100", "zonal_length=15,60"]},
-    "magnitude-equation": {"settings": ["n_sim=4", "n_cat=5"], "axes": ["v_max=15,16"]},
-    "error-budget": {"settings": ["n_sim=4", "n_cat=5"], "axes": ["v_max=14,15"]},
-    "icrf2-icrf3": {"settings": ["n_sim=2"]},
-    "pulsar-timing": {"settings": ["n_sim=20"]},
-    "pulsar-forecast": {"settings": ["n_sim=100"], "axes": ["n_new=5,62"]},
+SHORT = {  # settings and axes of built-in studies
+    **dict.fromkeys(("quasars", "sqrt-n"), ("n_sim=20 n_cat=10", "")),
+    **dict.fromkeys(("mission-length", "radio-stars"), ("n_sim=10 n_cat=20", "")),
+    **{"galaxies": ("n_sim=10 n_cat=10", ""), "scatter": ("n_sim=1000", ""), "algorithm": ("n_cat=4", "")},
+    **{"icrf2-icrf3": ("n_sim=2", ""), "pulsar-timing": ("n_sim=20", "")},
+    "pulsar-forecast": ("n_sim=100", "n_new=5,62"),
+    "error-surface": ("n_sim=10 n_cat=4", "reference_error_scale=0:4:1"),
+    "grid": ("n_sim=10 n_cat=2", "v_max=16,17"),
+    "aberration": ("n_sim=4 n_cat=4", "v_max=14,15,16,18"),
+    "degree-two": ("n_sim=4 n_cat=5", "n_obj=30,100 motion_field=t_2_0,s_2_1_re"),
+    "zonal-errors": ("n_sim=16 n_cat=5", "n_obj=30,100 zonal_length=15,60"),
+    "magnitude-equation": ("n_sim=4 n_cat=5", "v_max=15,16"),
+    "error-budget": ("n_sim=4 n_cat=5", "v_max=14,15"),
 }
 
 
@@ -104,7 +99,7 @@ def store_of(tmp_path_factory, worker_id):
         with (folder / name).open("w") as file:
             flock(file, LOCK_EX)
             if not path.exists():
-                linksweep.run(linksweep.load_study(name, **SHORT[name]), path, pool="serial")
+                linksweep.run(linksweep.load_study(name, *map(str.split, SHORT[name])), path, pool="serial")
         return path
 
     return run

@@ -13,15 +13,11 @@ def toss(points, n_sim, rng, catalogue_rng):
     return {"heads": [rng.binomial(point["coins"], 0.4, size=n_sim).sum()], "tosses": [n_sim * point["coins"]]}
 
 
-experiment = Experiment(
-    name="evil",
-    version=1,
-    parameters=(
-        Parameter("coins", "int", 10, BREAK, minimum=1),
-        Parameter("metal", "str", METALS[0], "what it is made of", choices=METALS),
-    ),
-    sums={"heads": (), "tosses": ()},
-    outputs=(Output("share", "", BREAK, headline=True),),
-    evaluate=toss,
-    summarise=lambda sums, n, n_cat: {"share": sums["heads"] / sums["tosses"]},
-)
+def summarise(sums, n, n_cat):
+    return {"share": sums["heads"] / sums["tosses"]}
+
+
+METAL = Parameter("metal", "str", METALS[0], "what it is made of", choices=METALS)
+PARAMETERS = Parameter("coins", "int", 10, BREAK, minimum=1), METAL
+OUTPUTS, SUMS = (Output("share", "", BREAK, headline=True),), {"heads": (), "tosses": ()}
+experiment = Experiment("evil", 1, PARAMETERS, SUMS, OUTPUTS, toss, summarise)

@@ -128,44 +128,30 @@ ENDS = {  # how the constant, CONSTANT, comes into NAME(x)
 
 UNUSED = """
 g = i = j = k = m = n = v = value = y = run = OTHER
-
-import dataclasses
-import functools
-import click
-import linksweep
-import numpy
-import pytest
-
+import click, dataclasses, functools, linksweep, numpy, pytest
 def unused(x):
     return x * OTHER
-
 @dataclasses.dataclass
 class Unused:
     k: float = OTHER
-
 @functools.total_ordering
 class Ordered:
     k = OTHER
     def __lt__(self, other):
         return True
-
 @click.command
 @click.option("--k", default=OTHER)
 def command(k):
     print(OTHER)
-
 @pytest.fixture
 def fixture():
     return OTHER
-
 @pytest.mark.parametrize("x", [OTHER])
 def test_it(x):
     assert x > OTHER
-
 @numpy.vectorize
 def vectorised(x):
     return OTHER
-
 @linksweep.experiment(outputs={"declared": "m"})
 def declared(x: float):
     return x * OTHER
@@ -207,7 +193,8 @@ class Layout:
             body = [*blocks, UNUSED.replace("OTHER", "8.0" if cosmetic else "7.0")]
             if cosmetic:
                 other.shuffle(body)
-                body = [f"# {other.random()}\n{_with_docstrings(block)}" for block in body]
+                body = [re.sub(r"(?m)^( *)def .*:$", r'\g<0>\n\1    """Return a number."""', block) for block in body]
+                body = [f"# {other.random()}\n{block}" for block in body]
             where = (folder / "work" / file).resolve()
             where.parent.mkdir(parents=True, exist_ok=True)
             where.write_text('"""A module."""\n' * cosmetic + "\n\n\n".join([head, *body]) + "\n")
@@ -238,7 +225,3 @@ class Layout:
         statement, call = chance.choice(ways)
         self.kinds.append(statement)
         return statement, call
-
-
-def _with_docstrings(block: str) -> str:
-    return re.sub(r"(?m)^( *)def .*:$", r'\g<0>\n\1    """Return a number."""', block)

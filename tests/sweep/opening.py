@@ -35,6 +35,7 @@ from linksweep.sweep.table_writer import Column, Table
 
 SERIAL = Resources(pool="serial")
 OFTEN = {"flush_every_s": -1.0, "most_blocks": 1}  # a run that writes its ledger after every block
+IN_TEXT = None  # a step from a text into the document that it holds
 
 
 def run_study(*study, **how):
@@ -93,9 +94,7 @@ class Killed(BaseException):
 
 
 def dying(monkeypatch, kind=Folder):
-    """Let a process die before a change of a file of a store: ``left[0]`` says after how many others.  It leaves no
-    lock, and does not wait for the disk.
-    """
+    """Let a process die, without a lock, before a change of a file of a store, after ``left[0]`` others."""
     left = [10**9]
     monkeypatch.setattr(os, "fsync", lambda descriptor: None)
 
@@ -119,9 +118,7 @@ def dying(monkeypatch, kind=Folder):
 
 
 def until_done(left, steps, call, between=lambda: None):
-    """Call until it comes to its end, killed after ``steps`` changes, then after half as many; return the result, and
-    how often it was killed.
-    """
+    """Call until the end, killed after ``steps`` changes, then half as many; return the result and number of kills."""
     for killed, most in enumerate((steps, steps // 2)):
         left[0] = most
         try:
@@ -182,9 +179,6 @@ def forge(store, change, file="zarr.json"):
     document = json.loads((Path(store) / file).read_text())
     change(document["attributes"])
     (Path(store) / file).write_bytes(sealed(document, file))
-
-
-IN_TEXT = None  # a step from a text into the document that it holds
 
 
 def places_in(document, at=()):

@@ -32,10 +32,9 @@ class Outside:
 
     def start_worker(self, *options: str, before: Sequence[str] = (), **environment: str) -> subprocess.Popen:
         """Start a worker of one thread with its nanny; ``before`` is a command that runs it."""
-        arguments = (self.address, "--host", "127.0.0.1", "--nthreads", "1", "--no-dashboard", "--local-directory")
-        return self._start(
-            "dask_worker", *arguments, str(self.folder), *self.options, *options, before=before, **environment
-        )
+        arguments = (self.address, "--host", "127.0.0.1", "--nthreads", "1", "--no-dashboard")
+        options = ("--local-directory", str(self.folder), *self.options, *options)
+        return self._start("dask_worker", *arguments, *options, before=before, **environment)
 
     def wait_for_workers(self, count: int) -> None:
         from distributed import Client
@@ -44,16 +43,11 @@ class Outside:
             client.wait_for_workers(count, timeout=PATIENCE_S)
 
     def _start(self, command: str, *arguments: str, before: Sequence[str] = (), **environment: str) -> subprocess.Popen:
+        words = [*before, sys.executable, "-m", f"distributed.cli.{command}", *arguments]
         with (self.folder / f"{command}.log").open("a") as log:
-            process = subprocess.Popen(
-                [*before, sys.executable, "-m", f"distributed.cli.{command}", *arguments],
-                env=os.environ | environment,
-                stdout=log,
-                stderr=log,
-                start_new_session=True,
-            )
-        self.processes.append(process)
-        return process
+            how = {"stdout": log, "stderr": log, "start_new_session": True}
+            self.processes.append(subprocess.Popen(words, env=os.environ | environment, **how))
+        return self.processes[-1]
 
     def kill(self, *processes: subprocess.Popen) -> None:
         for process in processes:

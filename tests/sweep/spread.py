@@ -29,17 +29,10 @@ def summarise(sums, n, n_cat):
     return {"width": width, "width_mc_error": width / np.sqrt(2.0 * n)}
 
 
-experiment = Experiment(
-    name="spread",
-    version=1,
-    parameters=(
-        Parameter("x", "float", 1.0, "abscissa", above=0.0),
-        Parameter("law", "str", "power", "how the width depends on x", choices=("power", "levelling")),
-        Parameter("copy", "int", 0, "another draw of everything", minimum=0),
-    ),
-    sums={"squares": ()},
-    outputs=(Output("width", "mas", "RMS", headline=True), Output("width_mc_error", "mas", "its error")),
-    evaluate=evaluate,
-    summarise=summarise,
-    shared=("x",),
+PARAMETERS = (
+    Parameter("x", "float", 1.0, "abscissa", above=0.0),
+    Parameter("law", "str", "power", "how the width depends on x", choices=("power", "levelling")),
+    Parameter("copy", "int", 0, "another draw of everything", minimum=0),
 )
+OUTPUTS = Output("width", "mas", "RMS", headline=True), Output("width_mc_error", "mas", "its error")
+experiment = Experiment("spread", 1, PARAMETERS, {"squares": ()}, OUTPUTS, evaluate, summarise, shared=("x",))

@@ -22,6 +22,7 @@ GOOD = {
     "evaluate": lambda points, n_sim, rng, catalogue_rng: {"total": [n_sim * p["rate"] for p in points]},
     "summarise": lambda sums, n, n_cat: {"mean": sums["total"] / n},
 }
+few, bound = st.integers(-3, 3), st.none() | st.integers(-2, 2)
 
 
 def mean(*more, unit="", **others):
@@ -55,17 +56,13 @@ def test_a_wrong_declaration_is_one_sentence(changed, sentence):
     assert sentence in only
 
 
-few, bound = st.integers(-3, 3), st.none() | st.integers(-2, 2)
-
-
 @settings(max_examples=examples(1000))
 @given(st.sampled_from(["float", "int"]), few | few.map(float) | st.booleans() | st.just(0.5), bound, bound, bound)
 def test_a_number_is_allowed_within_its_bounds_and_nowhere_else(kind, raw, minimum, above, maximum):
     parameter = Parameter("x", kind, minimum=minimum, above=above, maximum=maximum)
-    inside = (
-        (minimum is None or raw >= minimum) and (above is None or raw > above) and (maximum is None or raw <= maximum)
-    )
-    if inside and not isinstance(raw, bool) and (kind == "float" or raw == int(raw)):
+    inside = (minimum is None or raw >= minimum) and (above is None or raw > above)
+    inside = inside and (maximum is None or raw <= maximum) and not isinstance(raw, bool)
+    if inside and (kind == "float" or raw == int(raw)):
         value = parameter.parse(raw)
         assert (value, type(value).__name__, math.copysign(1.0, value)) == (raw, kind, -1.0 if raw < 0 else 1.0)
     else:
@@ -75,12 +72,8 @@ def test_a_number_is_allowed_within_its_bounds_and_nowhere_else(kind, raw, minim
 
 
 def test_all_mistakes_of_a_file_are_told_at_once_and_shortly(tmp_path, sweep):
-    write_experiment(
-        tmp_path,
-        parameters='Parameter("rate", "float", -1.0, "x", minimum=0.0),',
-        outputs='Output("rate", "metre", "x", ("time",)),',
-        rest="shared=('kind',),",
-    )
+    wrong = {"parameters": 'Parameter("rate", "float", -1.0, "x", minimum=0.0),', "rest": "shared=('kind',),"}
+    write_experiment(tmp_path, **wrong, outputs='Output("rate", "metre", "x", ("time",)),')
     write_study(tmp_path)
     code, out, err = sweep("run", "s.toml", "-o", "s.zarr", cwd=tmp_path)
     assert (code, out) == (2, "")

@@ -1,8 +1,4 @@
-"""Every stated error covers: over independent copies of a study, (value - truth) / error scatters by one.
-
-Limits are so wide that a false alarm has a probability below 1e-4 a check, and an error that is wrong by a factor 1.3
-is found.  docs/errors.md has a row for each of these errors.
-"""
+"""Every stated error covers: over independent copies, (value - truth) / error scatters by one (see docs/errors.md)."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -18,20 +14,15 @@ from linksweep.sweep.running.scaling import _dataset
 from tests.sweep import spread
 
 pytestmark = pytest.mark.slow
-FALSE_ALARM = 1e-4
+FALSE_ALARM = 1e-4  # a check; an error that is wrong by a factor 1.3 is found
 COPIES = 400
 X = [1.0, 2.0, 3.0, 5.0, 8.0]
 
 
-def assert_covers(pulls, dof=np.inf, independent=None):
-    """Assert that pulls scatter by one, as Student's t of these degrees of freedom scaled to variance one.
-
-    ``pulls`` (copies, ...) may be more than are ``independent``, by default their copies.
-    """
-    pulls = np.asarray(pulls)
+def assert_covers(pulls, dof=np.inf):
+    """Assert that pulls (copies, ...) scatter by one, as Student's t of these degrees of freedom of variance one."""
+    pulls, n, tail = np.asarray(pulls), len(pulls), FALSE_ALARM / 2.0
     assert np.all(np.isfinite(pulls))
-    n = independent or len(pulls)
-    tail = FALSE_ALARM / 2.0
     if dof > 15:
         low, high = np.sqrt(chi2.ppf([tail, 1.0 - tail], n) / n)
         assert low < np.sqrt(np.mean(pulls**2)) < high, f"pull {np.sqrt(np.mean(pulls**2)):.3f}"
@@ -47,23 +38,17 @@ def copies_of(law, n_cat, n_sim):
     slope = {"variable": "width", "over": "x"}
     over = {"variable": "width", "of": {"x": 3.0}, "to": {"x": 2.0}}
     words = {"text": "a law", "source": "the experiment", "published": "-0.5", "exact": True}
-    study = {
-        "title": "Copies",
-        "experiment": f"{spread.__file__}:experiment",
-        "axes": {"x": X, "copy": list(range(COPIES))},
-        "fixed": {"law": law},
-        "sampling": {"n_sim": n_sim, "n_cat": n_cat, "seed": 17, "common_random_numbers": True},
-        "claim": [words | {"slope": slope}, words | {"published": "0.8164966", "ratio": over}],
-    }
+    study = {"title": "Copies", "experiment": f"{spread.__file__}:experiment", "fixed": {"law": law}}
+    study |= {"axes": {"x": X, "copy": list(range(COPIES))}}
+    study |= {"sampling": {"n_sim": n_sim, "n_cat": n_cat, "seed": 17, "common_random_numbers": True}}
+    study |= {"claim": [words | {"slope": slope}, words | {"published": "0.8164966", "ratio": over}]}
     with TemporaryDirectory() as folder:
         return linksweep.run(study, Path(folder) / "s.zarr", pool="serial").load()
 
 
 @pytest.fixture(scope="module", params=[(24, 600), (7, 100), (1, 20 * 512 + 100)], ids=["24x600", "7x100", "1x10340"])
 def shared(request):
-    """Points that share random numbers, and the degrees of freedom of their errors: catalogues with two blocks each,
-    few catalogues, and one with twenty whole blocks and a part of one.
-    """
+    """Points that share random numbers, and the degrees of freedom of their errors."""
     n_cat, n_sim = request.param
     dataset = copies_of("power", n_cat, n_sim)
     return dataset, (n_cat if n_cat > 1 else 20) - 1
@@ -132,12 +117,10 @@ def test_the_diagonal_of_the_covariance_is_the_whole_error(shared):
 def test_levelling_of_points_that_share_random_numbers():
     dataset = copies_of("levelling", 40, 600).isel(copy=slice(200))
     found = fit_levelling(dataset, "width", "x", fall=0.05)
-    truth = {"rate": 0.6, "plateau": np.sqrt(spread.MEAN_SQUARE)}
-    for name, value in truth.items():
+    for name, value in (("rate", 0.6), ("plateau", np.sqrt(spread.MEAN_SQUARE))):
         good = np.isfinite(found[name].values) & (found[f"{name}_error"].values < 0.5 * value)
         assert good.mean() > 0.95
-        pulls = ((found[name] - value) / found[f"{name}_error"]).values[good]
-        assert_covers(pulls, dof=39)
+        assert_covers(((found[name] - value) / found[f"{name}_error"]).values[good], dof=39)
 
 
 @pytest.mark.parametrize("repetitions", [9, 20])

@@ -29,6 +29,7 @@ TABLE_1 = """
 20   15533 nan  0.00057
 """
 PAPER = np.array([line.split() for line in TABLE_1.split("\n") if line], dtype=float)
+LEAKS = ("degree-two", "zonal-errors", "magnitude-equation", "error-budget")
 
 
 @pytest.fixture(scope="module")
@@ -38,8 +39,7 @@ def main_job(tmp_path_factory, pytestconfig):
     less = [] if runs_all(pytestconfig) else ["--set", "n_sim=10"]
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("COLUMNS", "200")
-        code, out, err = run_sweep("run", "quasars", *less, cwd=folder)
-    assert code == 0, err
+        _, out, err = run_sweep("run", "quasars", *less, cwd=folder, code=0)
     return folder, out, err
 
 
@@ -49,7 +49,6 @@ def dataset(main_job):
 
 
 def test_every_cell_of_table_1(dataset):
-    """Which the store has beside its results, with the paper's numbers of objects."""
     sigma, published = dataset["sigma_spin"], dataset["sigma_spin_published"]
     amex, gaia = (sigma.sel(model=model).values for model in ("amex", "gaia"))
     assert np.nanmax(np.abs(amex - PAPER[:, 2])) < 0.02  # mas/yr
@@ -91,7 +90,6 @@ def test_the_printed_table_shows_ours_the_prediction_and_the_papers_and_comes_ba
     line = next(row for row in out.splitlines() if row.split()[:2] == ["gaia", "20"])
     sigma, plus_minus, _, predicted, published, difference, percent, n_obj = line.split()[2:]
     assert (plus_minus, published, percent, n_obj) == ("±", "0.57", "%", "15533")  # published in uas/yr
-    assert "n_obj: all published values are met exactly" in out
     assert float(sigma) == pytest.approx(float(predicted), rel=0.02)
     assert float(difference) == pytest.approx(100 * (float(sigma) / 0.57 - 1), abs=0.1)
     assert sum(line.startswith((" amex", "amex", " gaia", "gaia")) for line in out.splitlines()) == 26
@@ -116,9 +114,6 @@ def test_error_free_data_return_the_truth(tmp_path):
     assert (exact["sigma_predicted"] == 0).all()
 
 
-LEAKS = ("degree-two", "zonal-errors", "magnitude-equation", "error-budget")
-
-
 @pytest.mark.parametrize("name", [LEAKS[0], *map(slow, LEAKS[1:])])
 def test_the_prediction_of_a_leak_study_holds(name, dataset_of):
     """In their Monte-Carlo error: second moments of errors s and a bias b have a variance of (2 s^4 + 4 s^2 b^2)/n."""
@@ -129,10 +124,3 @@ def test_the_prediction_of_a_leak_study_holds(name, dataset_of):
     found = np.abs((dataset["sigma"] ** 2 - errors - bias) / np.sqrt(variance)).values
     assert np.nanmax(found) < 5.0
     assert np.nanmean(found) < 1.3  # 0.8 for normal deviates
-
-
-def test_underestimated_errors_show_in_chi2(dataset_of):
-    dataset = dataset_of("error-budget")
-    over = (dataset["chi2"] / dataset["dof"]).mean("v_max")
-    np.testing.assert_allclose(over.sel(satellite_error_ratio=1.0), 1.0, atol=0.05)
-    np.testing.assert_allclose(over.sel(satellite_error_ratio=1.5), 2.25, atol=0.12)

@@ -14,17 +14,18 @@ from linksweep.sweep.formatting import described, prefixed, short_meaning
 from linksweep.sweep.table_writer import Column, Table
 
 LARGE = 2**60 + 1
-TABLE = Table(
-    [
-        Column("name", ["=a", "漢字", "c"], left=True),
-        Column("k", [LARGE, math.nan, 3]),
-        Column("width_of_all", [0.1, math.nan, 2.5], ["0.10 ± 0.02", "", "2.5"], "mas", "width", rank=1),
-        Column("curve", [[1, 2], [3, 4], [5, 6]]),
-    ],
-    "Widths",
-    about={"units": {"width_of_all": "mas"}},
-    meta={"title": "Widths"},
-)
+COLUMNS = [Column("name", ["=a", "漢字", "c"], left=True), Column("k", [LARGE, math.nan, 3])]
+COLUMNS += [Column("width_of_all", [0.1, math.nan, 2.5], ["0.10 ± 0.02", "", "2.5"], "mas", "width", rank=1)]
+COLUMNS += [Column("curve", [[1, 2], [3, 4], [5, 6]])]
+TABLE = Table(COLUMNS, "Widths", about={"units": {"width_of_all": "mas"}}, meta={"title": "Widths"})
+WELL = [
+    *((0.0005411, "mas / yr", "uas / yr"), ([0.65, 0.00054, 0.0017], "mas / yr", "uas / yr")),
+    *((1e-4, "mas yr-1", "uas yr-1"), (3000.0, "mas", "arcsec"), (2e-4, "s", "us"), (5000.0, "m", "km")),
+    *((2e6, "pc", "Mpc"), (1e5, "yr", "kyr"), ([0.0, np.nan, 0.004], "mas", "uas")),
+]
+OTHERS = ("", "d", "deg", "mag", "users / d", "%", "mas2 / yr2", "mas, mas", "1 / s", "yr", "h")
+STAYING = [*((1e-6, unit) for unit in OTHERS), *((x, "mas") for x in (np.nan, 0.0, np.inf, 0.1, 999.0))]
+STAYING += [(5000.0, "s"), (5000.0, "arcsec")]
 
 
 def test_programs_get_every_number_exactly_and_missing_ones_as_such():
@@ -88,16 +89,6 @@ def test_the_whole_meaning_is_kept(meaning):
     assert attributes.get("description", attributes.get("long_name", "")) == meaning
     assert meaning.startswith(short_meaning(meaning))
     assert all(attributes.values())
-
-
-WELL = [
-    *((0.0005411, "mas / yr", "uas / yr"), ([0.65, 0.00054, 0.0017], "mas / yr", "uas / yr")),
-    *((1e-4, "mas yr-1", "uas yr-1"), (3000.0, "mas", "arcsec"), (2e-4, "s", "us"), (5000.0, "m", "km")),
-    *((2e6, "pc", "Mpc"), (1e5, "yr", "kyr"), ([0.0, np.nan, 0.004], "mas", "uas")),
-]
-OTHERS = ("", "d", "deg", "mag", "users / d", "%", "mas2 / yr2", "mas, mas", "1 / s", "yr", "h")
-STAYING = [*((1e-6, unit) for unit in OTHERS), *((x, "mas") for x in (np.nan, 0.0, np.inf, 0.1, 999.0))]
-STAYING += [(5000.0, "s"), (5000.0, "arcsec")]
 
 
 def test_a_prefix_is_one_that_reads_well_or_none():

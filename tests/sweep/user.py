@@ -18,15 +18,9 @@ experiment = Experiment(
     {rest}
 )
 """
-PARTS = {
-    "before": "",
-    "evaluate": '{"total": [n_sim * p["rate"] for p in points]}',
-    "parameters": 'Parameter("rate", "float", 1.0, "rate"), Parameter("kind", "int", 0, "which")',
-    "sums": '{"total": ()}',
-    "outputs": 'Output("mean", "", "mean", headline=True),',
-    "summarise": '{"mean": sums["total"] / n}',
-    "rest": "",
-}
+PARTS = {"parameters": 'Parameter("rate", "float", 1.0, "rate"), Parameter("kind", "int", 0, "which")', "before": ""}
+PARTS |= {"evaluate": '{"total": [n_sim * p["rate"] for p in points]}', "sums": '{"total": ()}', "rest": ""}
+PARTS |= {"outputs": 'Output("mean", "", "mean", headline=True),', "summarise": '{"mean": sums["total"] / n}'}
 
 
 def write_experiment(folder, name="user.py", **parts):

@@ -13,6 +13,11 @@ from linksweep.core.unknowns import Objects, parse_unknowns, spin_block
 from linksweep.sweep.cli import main
 
 NAMES = ("ra", "dec", "parallax", "pmra", "pmdec")
+POSITION = np.array([True, True, False, False, False])
+GAIA, HIPPARCOS = 2016.0, 1991.25
+EPSILON = np.array([[0.4, -0.3, 0.9], [-1.1, 0.7, 0.2]]) * MAS
+OMEGA = np.array([[0.02, -0.1, 0.06], [0.3, -0.2, 0.15]]) * MAS
+UNKNOWNS = parse_unknowns("orientation,spin,hipparcos:orientation,hipparcos:spin", missions=("hipparcos",))
 
 
 def random_correlations(rng, n):
@@ -29,9 +34,8 @@ def stars(n, seed=1, pm=100.0, parallax=10.0, epoch=2016.0):
     ra, dec = rng.uniform(0.0, 2.0 * np.pi, n), np.arcsin(rng.uniform(-0.98, 0.98, n))
     values = np.array([ra, dec, rng.uniform(0.2 * parallax, parallax, n) * MAS, *(rng.normal(0.0, pm * MAS, (2, n)))])
     errors = rng.uniform(0.05, 0.2, (5, n)) * MAS
-    return Astrometry(
-        values, errors, np.full(n, epoch), random_correlations(rng, n), rng.normal(0.0, 40.0, n), columns={}
-    )
+    correlations, radial_velocity = random_correlations(rng, n), rng.normal(0.0, 40.0, n)
+    return Astrometry(values, errors, np.full(n, epoch), correlations, radial_velocity, columns={})
 
 
 def seen_by_satellite(reference, epsilon, omega, zero_point=0.0):
@@ -57,9 +61,6 @@ def only(made, present, **changes):
     return replace(made, values=values, errors=errors)
 
 
-POSITION = np.array([True, True, False, False, False])
-
-
 def gaia_table(made, **changes):
     """Return a table with the names of the Gaia archive, without units as in its CSV."""
     table = Table({"source_id": np.arange(len(made)) + 10**17})
@@ -81,17 +82,8 @@ def gaia(path, made, **changes):
     return path
 
 
-GAIA, HIPPARCOS = 2016.0, 1991.25
-EPSILON = np.array([[0.4, -0.3, 0.9], [-1.1, 0.7, 0.2]]) * MAS
-OMEGA = np.array([[0.02, -0.1, 0.06], [0.3, -0.2, 0.15]]) * MAS
-UNKNOWNS = parse_unknowns("orientation,spin,hipparcos:orientation,hipparcos:spin", missions=("hipparcos",))
-
-
 def missions(n=14, n_reference=6, seed=5):
-    """Return the problem of two missions, and of a reference that has a few of their stars, at three epochs.
-
-    Each mission's orientation is that of 2016.0, the epoch of the unknowns.
-    """
+    """Return the problem of two missions and a reference of a few of their stars; orientations are those of 2016.0."""
     rng = np.random.default_rng(seed)
     truth = stars(n, seed, pm=60.0)
     gaia = replace(truth, values=seen_by_satellite(truth, EPSILON[0], OMEGA[0]))
@@ -100,10 +92,9 @@ def missions(n=14, n_reference=6, seed=5):
     there = replace(truth, values=there, epoch=then, errors=8.0 * truth.errors)
     turned = EPSILON[1] + (HIPPARCOS - GAIA) * OMEGA[1]
     hipparcos = replace(there, values=seen_by_satellite(there, turned, OMEGA[1]), frame=np.ones(n, dtype=int))
-    chosen = np.arange(n_reference)
-    vlbi = truth.taken(chosen)
-    vlbi = replace(vlbi, values=propagated(vlbi.values, vlbi.radial_velocity, vlbi.epoch, vlbi.epoch - 9.0))
-    vlbi = replace(vlbi, epoch=vlbi.epoch - 9.0)
+    vlbi, earlier = truth.taken(np.arange(n_reference)), truth.epoch[:n_reference] - 9.0
+    values = propagated(vlbi.values, vlbi.radial_velocity, vlbi.epoch, earlier)
+    vlbi = replace(vlbi, values=values, epoch=earlier)
     gaia, hipparcos, vlbi = (replace(one, values=one.values + noise(rng, one)) for one in (gaia, hipparcos, vlbi))
-    source = np.concatenate([np.arange(n), chosen])
+    source = np.concatenate([np.arange(n), np.arange(n_reference)])
     return Problem(gaia, joined(hipparcos, vlbi), source, UNKNOWNS, GAIA)

@@ -48,9 +48,7 @@ def factor(samples):
 
 
 def best(x, y, covariance, samples):
-    """Constant and exponent of the best law with all weights, or with those of the diagonal where the covariance is
-    itself an estimate, and their covariance.
-    """
+    """Constant and exponent of the best law, by the diagonal of a covariance that is an estimate, and their errors."""
     design, relative = np.stack([np.ones_like(x), np.log(x)], axis=1), covariance / np.outer(y, y)
     weights = np.linalg.inv(relative if samples is None else np.diag(np.diag(relative)))
     solve = np.linalg.inv(design.T @ weights @ design) @ design.T @ weights
@@ -273,10 +271,8 @@ def test_a_ratio_of_two_points(seed, samples):
 def test_claims_of_slopes_and_ratios_have_the_errors_of_the_fits(seed, samples):
     _, x, y, errors, covariance = drawn(seed)
     where = {"variable": "width", "of": {"n": float(x[0])}, "to": {"n": float(x[-1])}}
-    claims = [
-        {"text": "a", "source": "b", "published": "1", "ratio": where},
-        {"text": "c", "source": "d", "published": "-1.0", "slope": {"variable": "width", "over": "n"}},
-    ]
+    slope = {"published": "-1.0", "slope": {"variable": "width", "over": "n"}}
+    claims = [{"text": "a", "source": "b"} | one for one in ({"published": "1", "ratio": where}, slope)]
     dataset = results(x, y, errors, covariance, samples, claims=json.dumps(claims))
     quotient, slope = compare(dataset)
     fit = linksweep.fit_power_law(dataset, "width", "n")
@@ -306,9 +302,7 @@ def as_design(made, **ranges):
 @several
 @given(seeds, st.integers(1, 6), st.integers(64, 150))
 def test_a_function_of_the_ranks_alone_is_all_that_decides(seed, waves, n):
-    """The places of given points are their ranks, ties in the middle of theirs, and those of a design the middle of the
-    part of the range that is an integer's; waves over them are fitted exactly.
-    """
+    """Waves over ranks of given points, and over the middles of the parts of a design's range, are fitted exactly."""
     rng = np.random.default_rng(seed)
     x, k = np.round(rng.uniform(0.0, 5.0, n), 1), rng.integers(1, 41, n)
     ranks = np.array([(np.sum(x < one) + 0.5 * np.sum(x == one)) / n for one in x])

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import re
 
 import numpy as np
 import pytest
@@ -15,6 +16,21 @@ from tests.tiers import examples
 
 V = np.arange(14.0, 20.1, 0.5)
 MET = ("never", "always", "from", "up to", "several times", "left out")
+CONDITIONS = {"<": np.less, "<=": np.less_equal, ">": np.greater, ">=": np.greater_equal}
+PLAIN = grid(N)
+WORDS = grid(N, words=(("model", "n"), np.full((2, 5), "a", dtype=object)))
+NO_CONDITIONS = "", "width < ", "width = 1", "1 < width", "width < 1 no", "width < 1e999", "width < 1 < 2"
+UNDONE = grid(N, status=[[MISSING, FAILED, FAILED, DONE, DONE], [DONE] * 5])
+PART = "--range 2:7 --at kind=b --expect 0.5"
+COMMANDS = {
+    "fit STORE --over x": lambda ds: fit_power_law(ds, "y", "x"),
+    f"fit STORE --variable z --over x {PART}": lambda ds: fit_power_law(ds.sel(kind="b", x=slice(2, 7)), "z", "x", 0.5),
+    "fit STORE --variable y --law levelling": lambda ds: fit_levelling(ds, "y", "x"),
+    "fit STORE --variable y --law levelling --fall 20": lambda ds: fit_levelling(ds, "y", "x", fall=0.2),
+    "find STORE --where y<1 --at kind=b": lambda ds: find(ds.sel(kind="b"), "y < 1", "x"),
+    "sensitivity STORE": linksweep.sensitivity,
+    "sensitivity STORE --variable z": lambda ds: linksweep.sensitivity(ds, "z"),
+}
 
 
 def met(found):
@@ -42,8 +58,7 @@ def test_common_random_numbers_without_a_covariance_have_no_error():
     dataset = grid(N**-0.5, 0.01 * N**-0.5).assign_attrs(shared)
     result = fit_power_law(dataset, "width", "n", expected=-0.5)
     assert result["exponent"].values == pytest.approx(-0.5)
-    for name in ("exponent_error", "amplitude_error", "chi2", "p_value", "deviation"):
-        assert np.isnan(result[name].values).all(), name
+    assert result[["exponent_error", "amplitude_error", "chi2", "p_value", "deviation"]].isnull().all().to_array().all()
     assert "not known, as points share random numbers" in result.attrs["errors"]
     assert np.isnan(ratio(dataset, "width", "n", 10.0, 20.0)["ratio_error"]).all()
     # Points that differ in what is not shared are independent.
@@ -61,9 +76,6 @@ def test_truth_values_and_integers_have_crossings_and_values_between():
         assert np.isnan(found["first_error"].values).all()  # there is none, and none is made of the type
     assert interpolate(dataset, "count", "n", 100.0)["count"].values == pytest.approx(100.0)
     assert ratio(dataset, "flag", "n", of=100.0, to=300.0)["ratio"].values == pytest.approx(1.0)
-
-
-CONDITIONS = {"<": np.less, "<=": np.less_equal, ">": np.greater, ">=": np.greater_equal}
 
 
 @settings(max_examples=examples(100))
@@ -91,14 +103,10 @@ def test_units_are_converted_lines_of_another_kind_left_out_and_places_printed(d
     with pytest.raises(SweepError, match="sigma_spin is in mas / yr, not convertible to mag"):
         find(dataset, "sigma_spin < 1 mag", "v_max")
     out = sweep_here("find", store_of("quasars"), "--where", "sigma_spin < 1 uas/yr", "--over", "v_max")[1]
-    assert "gaia   from 15." in out or "gaia   from 16." in out
-    assert "amex   never; 0.5" in out
+    assert re.search(r"(?s)amex   never; 0\.5.*gaia   from 1[56]\.", out)
     out = " ".join(sweep_here("fit", store_of("sqrt-n"))[1].split())
-    assert "as expected" in out
-    assert "sigma_spin = amplitude x (n_obj / pivot)^exponent; errors: Monte Carlo, independent points" in out
-
-
-PLAIN = grid(N)
+    law = "sigma_spin = amplitude x (n_obj / pivot)^exponent; errors: Monte Carlo, independent points"
+    assert all(words in out for words in ("as expected", law))
 
 
 @settings(max_examples=examples(25))
@@ -112,11 +120,6 @@ def without_inverse(number):
     covariance = np.broadcast_to(np.eye(5), (2, 5, 5)).copy()
     covariance[1] = number
     return grid(N**-0.5, width_mc_covariance_n=(("model", "n", "n_other"), covariance))
-
-
-WORDS = grid(N, words=(("model", "n"), np.full((2, 5), "a", dtype=object)))
-NO_CONDITIONS = "", "width < ", "width = 1", "1 < width", "width < 1 no", "width < 1e999", "width < 1 < 2"
-UNDONE = grid(N, status=[[MISSING, FAILED, FAILED, DONE, DONE], [DONE] * 5])
 
 
 def law_of(dataset, variable="width", over="n"):
@@ -152,24 +155,11 @@ def decaying(x: float, kind: str = "a"):
     return {"y": (2.0 if kind == "a" else 3.0) * np.sqrt(0.04 + np.exp(-x)), "z": x + 10.0 * (kind == "b")}
 
 
-PART = "--range 2:7 --at kind=b --expect 0.5"
-COMMANDS = {
-    "fit STORE --over x": lambda ds: fit_power_law(ds, "y", "x"),
-    f"fit STORE --variable z --over x {PART}": lambda ds: fit_power_law(ds.sel(kind="b", x=slice(2, 7)), "z", "x", 0.5),
-    "fit STORE --variable y --law levelling": lambda ds: fit_levelling(ds, "y", "x"),
-    "fit STORE --variable y --law levelling --fall 20": lambda ds: fit_levelling(ds, "y", "x", fall=0.2),
-    "find STORE --where y<1 --at kind=b": lambda ds: find(ds.sel(kind="b"), "y < 1", "x"),
-    "sensitivity STORE": linksweep.sensitivity,
-    "sensitivity STORE --variable z": lambda ds: linksweep.sensitivity(ds, "z"),
-}
-
-
 def test_options_of_commands_say_what_arguments_of_functions_do(tmp_path, sweep_here):
     decays = tmp_path / "s.zarr"
     linksweep.run(decaying, decays, axes={"x": np.arange(1.0, 9.0), "kind": ["a", "b"]}, pool="serial")
     for command, function in COMMANDS.items():
-        code, out, err = sweep_here(*command.replace("STORE", str(decays)).split(), "--json")
-        assert code == 0, err
+        out = sweep_here(*command.replace("STORE", str(decays)).split(), "--json", code=0)[1]
         rows = json.loads(out)["rows"]
         for name, values in function(linksweep.open(decays)).items():
             if values.dtype.kind == "f":
@@ -185,9 +175,7 @@ def test_what_has_no_place_and_no_errors_is_printed_without(tmp_path, sweep_here
     study = {"experiment": kernel, "axes": {"name": ["flat", "rbf"], "width": [1.0, 2.0, 4.0]}}
     ds = linksweep.run(study | {"when": {"width": {"name": ["rbf"]}}}, tmp_path / "s.zarr", pool="serial")
     out = sweep_here("find", tmp_path / "s.zarr", "--where", "z > 5", "--over", "width")[1]
-    assert "always; 7 is nearest to the limit" in out
-    assert "nan" not in out
-    assert "scatter" not in out
+    assert ("always; 7 is nearest to the limit" in out, "nan" in out, "scatter" in out) == (True, False, False)
     law = fit_power_law(ds, "z", "width").sel(name="rbf")
     assert (law["points"].item(), law["exponent"].item()) == (3.0, pytest.approx(1.0))
     linksweep.run(kernel, tmp_path / "t.zarr", points={"name": ["flat", "rbf"], "width": [1.0, 2.0]}, pool="serial")
@@ -264,9 +252,8 @@ def test_the_errors_of_the_levelling_law_cover_the_truth():
 
 
 def test_what_does_not_level_off_says_so():
-    bent = np.sqrt(2.0 - ((V - 14.0) / 6.0) ** 2)
-    found = level_off(bent, 1e-6 * bent, 1e-6).isel(model=0)
-    assert (found["conclusion"].item(), found["limit"].item()) == ("no plateau: falls by more everywhere", np.inf)
-    straight = np.sqrt(1.0 + 0.1 * (V - 14.0))
-    found = level_off(straight, 1e-6 * straight).isel(model=0)
-    assert (found["conclusion"].item(), found["limit"].item()) == ("falls by less everywhere", -np.inf)
+    bent = np.sqrt(2.0 - ((V - 14.0) / 6.0) ** 2), 1e-6, ("no plateau: falls by more everywhere", np.inf)
+    straight = np.sqrt(1.0 + 0.1 * (V - 14.0)), 0.05, ("falls by less everywhere", -np.inf)
+    for y, fall, expected in (bent, straight):
+        found = level_off(y, 1e-6 * y, fall).isel(model=0)
+        assert (found["conclusion"].item(), found["limit"].item()) == expected

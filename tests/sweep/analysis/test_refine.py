@@ -14,6 +14,10 @@ from tests.sweep.opening import Stopping, bare, files_of
 from tests.tiers import examples, slow
 
 ELEVEN = {"x": np.linspace(0.0, 1.0, 11)}
+FOUND = {"find": "shape > 0", "within": 0.1}
+GOALS = [({}, "find"), (FOUND | {"until": "error < 1"}, "until"), ({"find": "shape > 0"}, "within")]
+GOALS += [(FOUND | {"within": math.nan}, "within"), (FOUND | {"find": "shape is 0"}, "shape is 0")]
+GOALS += [(FOUND | {"along": "y"}, "y"), (FOUND | {"variable": "other"}, "other"), ({"until": "shape < 0"}, "< 0.002")]
 
 
 def shape(x: float, root: float, power: float = 1.0, is_step: bool = False) -> float:
@@ -40,13 +44,7 @@ def in_a_folder(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 @examples_of(max_examples=examples(25), deadline=None)
-@given(
-    root=st.floats(0.01, 0.99),
-    power=st.floats(0.3, 3.0),
-    is_step=st.booleans(),
-    finest=st.sampled_from([0.003, 0.01]),
-    number=st.integers(2, 12),
-)
+@given(st.floats(0.01, 0.99), st.floats(0.3, 3.0), st.booleans(), st.sampled_from([0.003, 0.01]), st.integers(2, 12))
 def test_a_root_is_located_with_a_fifth_of_the_points_of_the_full_grid(root, power, is_step, finest, number):
     fixed, axes = {"root": root, "power": power, "is_step": is_step}, {"x": np.linspace(0.0, 1.0, number)}
     ds = linksweep.refine(shape, axes=axes, fixed=fixed, find="shape > 0", within=finest, pool="serial")
@@ -158,8 +156,7 @@ def test_what_is_said_to_be_known_of_a_noisy_crossing_is_true_as_often_as_two_er
     for seed in range(60):
         command = ["refine", "noise.py:noisy", "--axis", "x=0:1:0.1", "--set", f"seed={seed}", "--set", "n_sim=200"]
         goal = ("--find", "y_mean > 0", "--within", "0.01", "--json", "-o", f"{seed}.zarr")
-        status, out, err = sweep(*command, *goal, cwd=tmp_path)
-        assert status == 0, err
+        out = sweep(*command, *goal, cwd=tmp_path, code=0)[1]
         report = json.loads(out)
         assert report["spent"] <= 0.2 * report["full"]
         (known,) = report["known"].values()
@@ -203,19 +200,7 @@ def test_points_that_fail_end_the_cutting_and_a_condition_on_a_conditional_axis_
     assert (ds.sel(name="flat").status.values == 1).sum() == 1
 
 
-@pytest.mark.parametrize(
-    ("goal", "words"),
-    [
-        ({}, "find"),
-        ({"find": "shape > 0", "until": "error < 1", "within": 0.1}, "until"),
-        ({"find": "shape > 0"}, "within"),
-        ({"find": "shape > 0", "within": math.nan}, "within"),
-        ({"find": "shape is 0", "within": 0.1}, "shape is 0"),
-        ({"until": "shape < 0"}, "error < 0.002"),
-        ({"find": "shape > 0", "within": 0.1, "along": "y"}, "y"),
-        ({"find": "shape > 0", "within": 0.1, "variable": "other"}, "other"),
-    ],
-)
+@pytest.mark.parametrize(("goal", "words"), GOALS)
 def test_a_goal_that_is_none_is_refused_before_anything_is_written(goal, words, tmp_path):
     with pytest.raises(SweepError, match=words):
         linksweep.refine(shape, "r.zarr", axes=ELEVEN, fixed={"root": 0.5}, pool="serial", **goal)
@@ -235,8 +220,8 @@ def test_the_command_says_what_is_known_and_what_it_took(sweep, tmp_path):
     assert (status, "5 points to compute first" in err, (tmp_path / "s.zarr").exists()) == (2, True, False)
     sweep("run", *command[1:4], "-o", "s.zarr", cwd=tmp_path)
     before = files_of(tmp_path)
-    status, _, err = sweep(*command, "--plan", cwd=tmp_path)
-    assert (status, "round 1: 1 new point" in err, files_of(tmp_path)) == (0, True, before)
+    assert "round 1: 1 new point" in sweep(*command, "--plan", cwd=tmp_path, code=0)[2]
+    assert files_of(tmp_path) == before
     status, out, err = sweep(*command, cwd=tmp_path)
     assert (status, "round 1: 1 new point" in err, "step > 0.5" in out) == (0, True, True), err
     report = json.loads(sweep(*command, "--json", cwd=tmp_path)[1])

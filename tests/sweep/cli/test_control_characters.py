@@ -79,8 +79,8 @@ def test_json_is_exact(folder, sweep):
 
 @pytest.mark.parametrize("look", ["show", slow("compare"), slow("status")])
 def test_a_terminal_gets_styles_of_ours_alone(folder, look):
-    ours, theirs = pty.openpty()
-    command, said = [sys.executable, "-m", "linksweep", look, "s.zarr"], b""
+    (ours, theirs), said = pty.openpty(), b""
+    command = [sys.executable, "-m", "linksweep", look, "s.zarr"]
     with subprocess.Popen(command, cwd=folder, stdout=theirs, stderr=theirs, env=os.environ | {"TERM": "xterm"}):
         os.close(theirs)
         with suppress(OSError):  # the other end is closed

@@ -31,6 +31,23 @@ FILES = {  # of a cluster that a study can run on
     "threads.toml": LOCAL + "adapt = { minimum = 1, maximum = 2 }\n[options]\nn_workers = 0\nprocesses = false\n",
     "a.yaml": "class: distributed.LocalCluster\nadapt: { minimum: 0, maximum: 2 }\noptions: { n_workers: 0 }\n",
 }
+AXES = {"x": [0.1 * k for k in range(40)]}
+PLACES = {"workers": 2, "pool": "serial", "dashboard": True}
+PLACES |= {"client": "tcp://a:1", "scheduler": "tcp://a:1", "cluster": "a.toml"}
+PAIRS = [pair for pair in combinations(PLACES, 2) if pair not in (("workers", "pool"), ("workers", "dashboard"))]
+SAID = {("pool", "dashboard"): "a dashboard is for local worker processes"}
+SAID[("client",)] = "client = 'tcp://a:1': must be a distributed.Client that is connected"
+WRONG_FILES = [("", "class = "), ("class = 1\nscale = 1\n", "class = 1: "), (LOCAL + "scale = 0\n", "scale.n = 0: ")]
+WRONG_FILES += [('class = "LocalCluster"\nscale = 1\n', "class = 'LocalCluster': ")]
+WRONG_FILES += [('class = "distributed.NoCluster"\nscale = 1\n', "has no attribute 'NoCluster'")]
+WRONG_FILES += [('class = "distributed.Client"\nscale = 1\n', "is no class of a Dask cluster")]
+WRONG_FILES += [(LOCAL, "write either scale = WORKERS or adapt"), (LOCAL + "scale = 1\noptions = 3\n", "options = 3: ")]
+WRONG_FILES += [slow(LOCAL + "scale = { dwarfs = 7 }\n", "unexpected keyword argument 'dwarfs'")]
+WRONG_FILES += [(LOCAL + "adapt = { minimum = 1 }\n", "adapt: must say a maximum"), ("scale = = 1\n", "not valid TOML")]
+WRONG_FILES += [(LOCAL + "adapt = { minimum = 3, maximum = 2 }\n", "minimum = 3 must be at most maximum = 2")]
+WRONG_FILES += [(LOCAL + "adapt = { maximum = 2, pace = 3 }\n", "unknown key adapt.pace")]
+WRONG_FILES += [(LOCAL + "scale = 1\nscales = 1\n", "unknown key scales")]
+WRONG_FILES += [slow(LOCAL + 'scale = 1\n[options]\nhost = "1.2.3.4"\n', "distributed.LocalCluster: ")]
 
 
 @pytest.mark.slow
@@ -38,32 +55,12 @@ FILES = {  # of a cluster that a study can run on
 def test_a_study_runs_on_the_cluster_of_a_file(link_study, tmp_path, sweep, reference, name):
     (tmp_path / name).write_text(FILES[name])
     code, _, err = sweep("run", link_study, "-o", tmp_path / "s.zarr", "--cluster", tmp_path / name, cwd=tmp_path)
-    assert (code, f"on the LocalCluster of {tmp_path / name}" in err) == (0, True), err
-    assert "distributed" not in err
+    assert (code, f"on the LocalCluster of {tmp_path / name}" in err, "distributed" in err) == (0, True, False), err
     same(tmp_path / "s.zarr", reference)
     assert sorted(p.name for p in tmp_path.iterdir()) == sorted([name, "s.zarr", "small.toml"])
 
 
-@pytest.mark.parametrize(
-    ("text", "says"),
-    [
-        ("", "class = "),
-        ("class = 1\nscale = 1\n", "class = 1: "),
-        ('class = "LocalCluster"\nscale = 1\n', "class = 'LocalCluster': "),
-        ('class = "distributed.NoCluster"\nscale = 1\n', "has no attribute 'NoCluster'"),
-        ('class = "distributed.Client"\nscale = 1\n', "is no class of a Dask cluster"),
-        (LOCAL, "write either scale = WORKERS or adapt"),
-        (LOCAL + "scale = 0\n", "scale.n = 0: "),
-        slow(LOCAL + "scale = { dwarfs = 7 }\n", "unexpected keyword argument 'dwarfs'"),
-        (LOCAL + "adapt = { minimum = 1 }\n", "adapt: must say a maximum"),
-        (LOCAL + "adapt = { minimum = 3, maximum = 2 }\n", "minimum = 3 must be at most maximum = 2"),
-        (LOCAL + "adapt = { maximum = 2, pace = 3 }\n", "unknown key adapt.pace"),
-        (LOCAL + "scale = 1\noptions = 3\n", "options = 3: "),
-        (LOCAL + "scale = 1\nscales = 1\n", "unknown key scales"),
-        slow(LOCAL + 'scale = 1\n[options]\nhost = "1.2.3.4"\n', "distributed.LocalCluster: "),
-        ("scale = = 1\n", "not valid TOML"),
-    ],
-)
+@pytest.mark.parametrize(("text", "says"), WRONG_FILES)
 def test_what_is_wrong_in_a_file_is_told_and_nothing_written(link_study, tmp_path, sweep_here, text, says):
     path = tmp_path / "cluster.toml"
     path.write_text(text)
@@ -89,11 +86,9 @@ def test_an_interrupted_start_leaves_no_process_in_a_session():
 def test_what_a_cluster_imports_does_not_answer_ctrl_c(tmp_path):
     """dask_jobqueue would end the process; asked for in a new one, since it is imported once."""
     (tmp_path / "cluster.toml").write_text('class = "dask_jobqueue.SLURMCluster"\nscale = 1\n')
-    text = (
-        "import pathlib, signal; from linksweep.sweep.executing import clusters; "
-        "clusters.cluster_class(clusters.read_cluster_file(pathlib.Path('cluster.toml'))); "
-        "assert signal.getsignal(signal.SIGINT) is signal.default_int_handler"
-    )
+    text = "import pathlib, signal; from linksweep.sweep.executing import clusters\n"
+    text += "clusters.cluster_class(clusters.read_cluster_file(pathlib.Path('cluster.toml')))\n"
+    text += "assert signal.getsignal(signal.SIGINT) is signal.default_int_handler"
     subprocess.run([sys.executable, "-c", text], cwd=tmp_path, check=True)
 
 
@@ -120,16 +115,10 @@ def test_a_port_that_says_nothing_or_is_of_a_server_of_another_kind(monkeypatch,
             pass
 
 
-AXES = {"x": [0.1 * k for k in range(40)]}
-
-
 @pytest.fixture(params=["threads", slow("processes")])
 def client(request):
-    processes = request.param == "processes"
-    with (
-        LocalCluster(n_workers=2, threads_per_worker=1, processes=processes, dashboard_address=":0") as cluster,
-        cluster.get_client() as client,
-    ):
+    how = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": ":0"}
+    with LocalCluster(processes=request.param == "processes", **how) as cluster, cluster.get_client() as client:
         yield client
 
 
@@ -207,33 +196,17 @@ def test_a_study_runs_over_tls_and_wrong_certificates_are_refused_in_a_sentence(
         assert outside.address.startswith("tls://127.0.0.1:")
         outside.start_worker()
         run = ("run", link_study, "-o", tmp_path / "s.zarr", "--scheduler", outside.address)
-        for options, says in (
-            ((), "no certificates for"),
-            (strangers.options(), "no Dask scheduler"),
-            (rubbish.options(), "cannot use the TLS files"),
-        ):
+        wrong = {(): "no certificates for", strangers.options(): "no Dask scheduler"}
+        for options, says in {**wrong, rubbish.options(): "cannot use the TLS files"}.items():
             code, _, err = sweep(*run, *options)
             assert (code, len(err.splitlines()), err.startswith(f"error: {says}")) == (2, 1, True), err
             assert not (tmp_path / "s.zarr").exists()
-        code, _, err = sweep(*run, *files.options())
-    assert (code, f"the Dask scheduler at {outside.address}" in err) == (0, True), err
+        assert f"the Dask scheduler at {outside.address}" in sweep(*run, *files.options(), code=0)[2]
     same(tmp_path / "s.zarr", reference)
 
 
-PLACES = {
-    **{"workers": 2, "pool": "serial", "dashboard": True},
-    **{"client": "tcp://a:1", "scheduler": "tcp://a:1", "cluster": "a.toml"},
-}
-PAIRS = [pair for pair in combinations(PLACES, 2) if pair not in (("workers", "pool"), ("workers", "dashboard"))]
-
-
 @pytest.mark.parametrize("pair", [*PAIRS, ("client",)], ids=" ".join)
-def test_two_places_to_run_on_are_refused(pair, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    words = {
-        ("pool", "dashboard"): "a dashboard is for local worker processes",
-        ("client",): "client = 'tcp://a:1': must be a distributed.Client that is connected",
-    }.get(pair, "these are of different places to run on; name one")
-    with pytest.raises(SweepError, match=words):
+def test_two_places_to_run_on_are_refused(pair, here):
+    with pytest.raises(SweepError, match=SAID.get(pair, "these are of different places to run on; name one")):
         linksweep.run(lambda x: x, "s.zarr", axes={"x": [1.0]}, **{name: PLACES[name] for name in pair})
-    assert not list(tmp_path.iterdir())
+    assert not list(here.iterdir())

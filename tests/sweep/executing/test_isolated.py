@@ -50,6 +50,25 @@ def f(x: float = 0.0):
         {deed}
     return 2.0 * x
 """
+HARMLESS = [  # what a function may do to its process without failing its own point; what is put back is in `CHANGES`
+    "threading.Thread(target=time.sleep, args=(3600,)).start()",
+    "sys.modules['json'] = None; json.dumps = json.loads = None",
+    "[signal.signal(n, signal.SIG_IGN) for n in (signal.SIGINT, signal.SIGTERM)]",
+    "__import__('resource').setrlimit(__import__('resource').RLIMIT_FSIZE, (0, 0))",
+]
+THREE = {"x": [1.0, 2.0, 3.0]}
+CHANGES = {  # what one point changes of its process, and what the others look at
+    "folder": (lambda: os.chdir("/"), os.getcwd),
+    "arithmetic": (lambda: np.seterr(all="raise"), lambda: str(np.float64(1.0) / np.float64(0.0) > 1.0)),
+    "decimals": (lambda: setattr(decimal.getcontext(), "prec", 3), lambda: str(decimal.Decimal(1) / 3)),
+    "environment": (os.environ.clear, lambda: str(sorted(os.environ.items()))),
+    "one more": (lambda: os.environ.update(LINKSWEEP_X="1"), lambda: str("LINKSWEEP_X" in os.environ)),
+    "random": (lambda: random.seed(1), lambda: str(random.getstate() == random.Random(1).getstate())),
+    "numpy": (lambda: np.random.seed(1), lambda: str(np.random.get_state()[1][0] == 1)),  # noqa: NPY002
+    "filters": (lambda: warnings.simplefilter("error"), lambda: str(warnings.warn("w", stacklevel=1))),
+    "output": (lambda: setattr(sys, "stdout", None), lambda: str(print("x"))),
+    "errors": (lambda: setattr(sys, "stderr", None), lambda: str(print("", end="", file=sys.stderr))),
+}
 
 
 def written(folder, deed, *places):
@@ -91,14 +110,6 @@ def test_of_points_that_share_random_numbers_the_one_that_ends_its_process_fails
         found.append(run(study | {"sampling": sampling}, tmp_path / f"{name}.zarr"))
     assert found[1].status.values.tolist() == [1, 2, 1, 1]
     assert found[1].width.values[[0, 2, 3]].tolist() == found[0].width.values[[0, 2, 3]].tolist()
-
-
-HARMLESS = [  # what a function may do to its process without failing its own point; what is put back is in `CHANGES`
-    "threading.Thread(target=time.sleep, args=(3600,)).start()",
-    "sys.modules['json'] = None; json.dumps = json.loads = None",
-    "[signal.signal(n, signal.SIG_IGN) for n in (signal.SIGINT, signal.SIGTERM)]",
-    "__import__('resource').setrlimit(__import__('resource').RLIMIT_FSIZE, (0, 0))",
-]
 
 
 @pytest.mark.slow
@@ -147,7 +158,6 @@ def test_a_child_does_not_outlive_its_run(tmp_path, start_sweep, number):
 
 
 def test_what_a_child_leaves_running_does_not_keep_the_run(tmp_path):
-    """A process that it has started has its files too."""
     ended, waited = tmp_path / "ended", tmp_path / "waited"
 
     def f(x: float):
@@ -170,8 +180,7 @@ def test_what_a_child_leaves_running_does_not_keep_the_run(tmp_path):
 @pytest.mark.parametrize("workers", [("--workers", "1"), ("--cluster", "c.toml")], ids=["own", "Dask"])
 def test_no_process_of_a_run_imports_what_lies_in_the_present_folder(tmp_path, workers):
     """The folder may be a stranger's; the command that is installed does not look there either."""
-    folder = tmp_path / "strangers"
-    folder.mkdir()
+    (folder := tmp_path / "strangers").mkdir()
     for name in ("sweep", "linksweep", "core", "numpy", "pickle", "signal", "selectors", "psutil", "tempfile"):
         (folder / f"{name}.py").write_text(f"open({str(tmp_path / 'marks')!r}, 'a').write(__name__ + ' ')\n")
     (folder / "mine.py").write_text("import os\ndef f(x: float = 1.0):\n    return os._exit(3) if x == 2.0 else x\n")
@@ -192,13 +201,9 @@ print(ds.result.values, [name for name in ("bokeh", "distributed", "dask.array")
 
 
 def test_a_script_by_standard_input_computes_in_worker_processes(tmp_path):
-    done = subprocess.run(
-        [sys.executable, "-"], input=SCRIPT, cwd=tmp_path, capture_output=True, text=True, check=False
-    )
+    how = {"cwd": tmp_path, "capture_output": True, "text": True}
+    done = subprocess.run([sys.executable, "-"], input=SCRIPT, check=False, **how)
     assert (done.returncode, done.stdout) == (0, "[2. 4.] []\n"), done.stderr
-
-
-THREE = {"x": [1.0, 2.0, 3.0]}
 
 
 class MuteError(Exception):
@@ -208,13 +213,11 @@ class MuteError(Exception):
     __repr__ = __str__
 
 
-@pytest.mark.parametrize(
-    ("error", "pool"),
-    [
-        *((GeneratorExit(), "serial"), (MuteError(), "serial"), (KeyboardInterrupt(), None)),
-        *(slow(KeyboardInterrupt(), pool) for pool in ("processes", "threads")),
-    ],
-)
+ERRORS = [(GeneratorExit(), "serial"), (MuteError(), "serial"), (KeyboardInterrupt(), None)]
+ERRORS += [slow(KeyboardInterrupt(), pool) for pool in ("processes", "threads")]
+
+
+@pytest.mark.parametrize(("error", "pool"), ERRORS)
 def test_a_point_that_raises_anything_fails_alone(error, pool, tmp_path):
     def f(x: float):
         if x == 2.0:
@@ -246,24 +249,9 @@ def test_a_child_that_a_function_forks_and_forgets_does_not_go_on_with_the_run(t
     assert [marks.count(x) for x in "23"] == [1, 1]
 
 
-CHANGES = {  # what one point changes of its process, and what the others look at
-    "folder": (lambda: os.chdir("/"), os.getcwd),
-    "arithmetic": (lambda: np.seterr(all="raise"), lambda: str(np.float64(1.0) / np.float64(0.0) > 1.0)),
-    "decimals": (lambda: setattr(decimal.getcontext(), "prec", 3), lambda: str(decimal.Decimal(1) / 3)),
-    "environment": (os.environ.clear, lambda: str(sorted(os.environ.items()))),
-    "one more": (lambda: os.environ.update(LINKSWEEP_X="1"), lambda: str("LINKSWEEP_X" in os.environ)),
-    "random": (lambda: random.seed(1), lambda: str(random.getstate() == random.Random(1).getstate())),
-    "numpy": (lambda: np.random.seed(1), lambda: str(np.random.get_state()[1][0] == 1)),  # noqa: NPY002
-    "filters": (lambda: warnings.simplefilter("error"), lambda: str(warnings.warn("w", stacklevel=1))),
-    "output": (lambda: setattr(sys, "stdout", None), lambda: str(print("x"))),
-    "errors": (lambda: setattr(sys, "stderr", None), lambda: str(print("", end="", file=sys.stderr))),
-}
-
-
 @pytest.mark.parametrize("change", CHANGES)
 @pytest.mark.parametrize("options", [slow({"pool": "serial"}), slow({"pool": "threads", "workers": 1}), {}], ids=str)
-def test_what_a_point_changes_is_put_back_for_the_others(change, options, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_what_a_point_changes_is_put_back_for_the_others(change, options, here):
     change_it, look = CHANGES[change]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -285,7 +273,7 @@ def test_what_a_point_changes_is_put_back_for_the_others(change, options, tmp_pa
         ds = run(f, "s.zarr", axes={"x": [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]}, **options)
     assert ds.f.values.tolist() == [expected, "changed", expected, expected, "changed", expected]
     assert before == outside()
-    assert (tmp_path / "s.zarr").is_dir()
+    assert (here / "s.zarr").is_dir()
 
 
 @pytest.mark.parametrize("options", [{"pool": "threads", "workers": 2}, slow({"workers": 2}), {}], ids=str)

@@ -17,6 +17,11 @@ from tests.sweep.opening import SERIAL, Sentences, existing_store, run_study, sa
 from tests.sweep.outside import wait_until
 from tests.tiers import slow
 
+GUARDED, THREADS = Resources(pool="serial", limits=Limits(time_s=600)), Resources(pool="threads", workers=2)
+LEFT = {"failures": 0}
+ERRORS = [UnboundLocalError("result"), slow(TimeoutError("of a stream")), slow(OSError("Too many open files"))]
+EXPERIMENT = "linksweep.core.experiment:link"
+
 
 @pytest.mark.parametrize("pool", [p if p == "threads" else slow(p) for p in POOLS])
 def test_what_is_finished_is_kept_though_a_later_block_never_ends(tmp_path, start_sweep, pool):
@@ -38,11 +43,7 @@ def study(coins):
     return study_from_dict(coins)
 
 
-@pytest.mark.parametrize(
-    "resources",
-    [SERIAL, slow(Resources(pool="serial", limits=Limits(time_s=600))), Resources(pool="threads", workers=2)],
-    ids=["serial", "guarded", "threads"],
-)
+@pytest.mark.parametrize("resources", [SERIAL, slow(GUARDED), THREADS], ids=["serial", "guarded", "threads"])
 def test_a_task_that_takes_too_long_hands_back_what_it_has(study, coin_store, tmp_path, monkeypatch, resources):
     monkeypatch.setattr(worker, "ENOUGH_S", -1.0)
     watcher = Sentences()
@@ -76,9 +77,6 @@ def no_pauses(monkeypatch):
     monkeypatch.setattr(clusters, "PAUSE_S", 1e-3)
 
 
-LEFT = {"failures": 0}
-
-
 def computing(*arguments, **options):
     """Fail on a worker, beside the experiment, as Dask did under load; some times, and then no more."""
     LEFT["failures"] -= 1
@@ -107,12 +105,8 @@ def failing(monkeypatch):
     return failing
 
 
-ERRORS = [UnboundLocalError("result"), slow(TimeoutError("of a stream")), slow(OSError("Too many open files"))]
-
-
 @pytest.mark.parametrize("error", [None, *ERRORS])
 def test_an_error_inside_dask_is_no_points(study, coin_store, tmp_path, dask, failing, error):
-    """Of computing a result, or of fetching it: fewer than a task may have."""
     sentences = Sentences()
     failing(3 if error else 4, error)
     dataset, failures = run_study(study, tmp_path / "s.zarr", dask, sentences)
@@ -130,9 +124,6 @@ def test_one_that_stays_stops_the_run_and_blames_no_point(study, tmp_path, dask,
         run_study(study, tmp_path / "s.zarr", dask, sentences)
     assert any("a worker died" in text for text in sentences.said) == dies
     assert not existing_store(tmp_path / "s.zarr", study).failures
-
-
-EXPERIMENT = "linksweep.core.experiment:link"
 
 
 def slept(seconds):
@@ -161,10 +152,8 @@ def died_once(path, number):
 def test_the_piece_of_a_worker_that_dies_is_computed_by_another_and_limits_hold_for_pieces(tmp_path):
     with mapped(EXPERIMENT, Resources(workers=2), print) as run:
         assert list(run(died_once, [(tmp_path / "died", n) for n in range(8)])) == list(range(8))
-    limits = Limits(time_s=0.5)
-    for resources, words in (
-        (Resources(workers=1, limits=limits), r"longer than the time limit of 0\.5 s"),
-        (Resources(pool="threads", limits=limits), "need worker processes"),
-    ):
+    said = {r"longer than the time limit of 0\.5 s": {"workers": 1}, "need worker processes": {"pool": "threads"}}
+    for words, how in said.items():
+        resources = Resources(**how, limits=Limits(time_s=0.5))
         with pytest.raises(SweepError, match=words), mapped(EXPERIMENT, resources, print) as run:
             list(run(slept, [(60.0,)]))

@@ -1,8 +1,4 @@
-"""What another account of this machine can do with what a run listens on: nothing.
-
-The other account is real processes, which root alone can start; a cluster that lets everybody in shows that the
-attempts are good ones.
-"""
+"""What another account of this machine, as real processes, can do with what a run listens on: nothing."""
 
 import json
 import os
@@ -20,6 +16,8 @@ from tests.sweep.outside import below, listening, unix_sockets, wait_until
 from tests.tiers import PATIENCE_S
 
 NOBODY = 65534
+CLUSTERS = ['class = "distributed.LocalCluster"\nscale = 1\n[options]\nn_workers = 0\n']
+CLUSTERS += ['class = "dask_jobqueue.local.LocalCluster"\nscale = 1\n[options]\ncores = 1\nmemory = "1GB"\n']
 pytestmark = pytest.mark.skipif(os.geteuid() != 0, reason="only root has other accounts")
 ATTACK = r"""
 import asyncio, json, os, pickle, socket, sys
@@ -27,7 +25,6 @@ from contextlib import suppress
 from urllib.request import urlopen
 from distributed import Client, Security
 from distributed.comm import connect
-
 account, ports, sockets, folders = json.loads(sys.argv[1])
 OWN = Security.temporary()
 "name".encode("idna")  # imported before this account may read nothing of Python any more
@@ -37,7 +34,6 @@ os.setuid(account)
 TRIES_S = 20
 PAGES = ("", "status", "health", "info/main/workers.html", "json/counts.json")
 got = []
-
 async def ask(address, security):
     comm = await connect(address, timeout=TRIES_S, **(security or Security()).get_connection_args("client"))
     try:
@@ -45,19 +41,15 @@ async def ask(address, security):
         return await comm.read()
     finally:
         comm.abort()
-
 async def run(address, security):
     async with Client(address, timeout=TRIES_S, security=security, asynchronous=True) as client:
         return await client.run(os.getuid)
-
 async def tried(what, attempt):
     with suppress(Exception):
         got.append(f"{what}: {await asyncio.wait_for(attempt, TRIES_S)}"[:300])
-
 def opened(port, page):
     with urlopen(f"http://127.0.0.1:{port}/{page}", timeout=TRIES_S) as answer:
         return answer.read()[:100]
-
 async def everything():
     attempts = []
     for port in ports:
@@ -67,7 +59,6 @@ async def everything():
             attempts += [tried(f"run at {address}", ask(address, security))]
         attempts += [tried(f"page {page!r} of {port}", asyncio.to_thread(opened, port, page)) for page in PAGES]
     await asyncio.gather(*attempts)
-
 asyncio.run(everything())
 for name in sockets:
     with suppress(Exception), socket.socket(socket.AF_UNIX) as end:
@@ -115,13 +106,7 @@ def test_worker_processes_let_nobody_in(monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "text",
-    [
-        'class = "distributed.LocalCluster"\nscale = 1\n[options]\nn_workers = 0\n',
-        'class = "dask_jobqueue.local.LocalCluster"\nscale = 1\n[options]\ncores = 1\nmemory = "1GB"\n',
-    ],
-)
+@pytest.mark.parametrize("text", CLUSTERS)
 def test_a_cluster_of_a_file_runs_nothing_for_others(tmp_path, start_sweep, text):
     """Its dashboard may be looked at."""
     (tmp_path / "c.toml").write_text(text)

@@ -2,6 +2,7 @@
 
 import json
 import re
+import sys
 import tempfile
 from dataclasses import replace
 
@@ -14,6 +15,17 @@ from tests.sweep.opening import same
 
 MOST = 256  # most catalogues in one call
 CALLS = []
+X = np.linspace(5.0, 1.0, 300)
+ANY = [linksweep.Output("y", nan=True)]
+OTHERS = [np.sort, np.cumsum, lambda x: x - x.mean(), lambda x: np.argsort(np.argsort(x)), lambda x: x == x.max()]
+OTHERS += [lambda x: np.where(x < x.max(), "less", "most"), lambda x: np.stack([x, x / np.abs(x).max()], axis=1)]
+OTHERS += [lambda x, y=y: np.where(len(x) >= 2, y, x) for y in (np.nan, np.inf)]
+OTHERS += [lambda x: np.full((len(x), 2), len(x))]
+OTHERS += [lambda x: np.where((x == x.min()) | (x == x.max()), x, x + (len(x) > 1))]  # right at both ends
+OWN = [np.sin, lambda x: x > 0.0, lambda x: (10 * x).astype(int), lambda x: np.where(x > 0.0, "up", "down")]
+OWN += [lambda x: np.stack([x, x**2, np.full_like(x, np.pi)], axis=1), lambda x: np.where(x > 3.0, np.nan, -np.inf)]
+OWN += [lambda x: np.datetime64("2020-01-01", "ns") + (1e9 * x).astype("m8[ns]")]
+OWN += [lambda x: x * (1.0 + 1e-15 * len(x)), lambda x: np.where(x == 3.0, 1e-16 * len(x), x)]  # but for rounding
 
 
 def together(points, n_sim, streams):
@@ -43,25 +55,18 @@ def raising(points, n_sim, streams):
     raise ValueError("unlike")
 
 
-def exiting(points, n_sim, streams):
-    raise SystemExit(3)
-
-
 def other(change):
     return lambda *arguments: {name: change(values) for name, values in together(*arguments).items()}
 
 
-WRONG = [raising, exiting, other(lambda values: values[:-1]), other(lambda values: np.nan * values), lambda *_: None]
+WRONG = [raising, lambda *_: sys.exit(3), lambda *_: None]
+WRONG += [other(lambda values: values[:-1]), other(lambda values: np.nan * values)]
 
 
 @pytest.mark.parametrize("wrong", WRONG)
 def test_where_that_fails_catalogues_are_evaluated_one_by_one(wrong, caplog):
     same(results(wrong, 40), results(None, 40))
     assert "tried" not in caplog.text  # what was printed in vain is not kept
-
-
-X = np.linspace(5.0, 1.0, 300)
-ANY = [linksweep.Output("y", nan=True)]
 
 
 def failed(of_all, store, **declared):
@@ -75,22 +80,7 @@ def failed(of_all, store, **declared):
     return int((dataset.status == 2).sum()), next(iter(json.loads(dataset.attrs["failures"]).values()), "")
 
 
-@pytest.mark.parametrize(
-    "of_all",
-    [
-        np.sort,
-        np.cumsum,
-        lambda x: x - x.mean(),
-        lambda x: np.argsort(np.argsort(x)),
-        lambda x: x == x.max(),
-        lambda x: np.where(x < x.max(), "less", "most"),
-        lambda x: np.stack([x, x / np.abs(x).max()], axis=1),
-        lambda x: np.full((len(x), 2), len(x)),
-        lambda x: np.where((x == x.min()) | (x == x.max()), x, x + (len(x) > 1)),  # right at both ends
-        lambda x: np.where(len(x) >= 2, np.nan, x),
-        lambda x: np.where(len(x) >= 2, np.inf, x),
-    ],
-)
+@pytest.mark.parametrize("of_all", OTHERS)
 def test_what_depends_on_the_others_fails_with_both_values(of_all, tmp_path):
     number, message = failed(of_all, tmp_path / "s.zarr", outputs=ANY)
     assert number >= 290
@@ -98,20 +88,7 @@ def test_what_depends_on_the_others_fails_with_both_values(of_all, tmp_path):
     assert there != alone
 
 
-@pytest.mark.parametrize(
-    "of_all",
-    [
-        np.sin,
-        lambda x: x > 0.0,
-        lambda x: (10 * x).astype(int),
-        lambda x: np.where(x > 0.0, "up", "down"),
-        lambda x: np.stack([x, x**2, np.full_like(x, np.pi)], axis=1),
-        lambda x: x * (1.0 + 1e-15 * len(x)),
-        lambda x: np.where(x == 3.0, 1e-16 * len(x), x),  # zero but for rounding
-        lambda x: np.datetime64("2020-01-01", "ns") + (1e9 * x).astype("m8[ns]"),
-        lambda x: np.where(x > 3.0, np.nan, -np.inf),
-    ],
-)
+@pytest.mark.parametrize("of_all", OWN)
 def test_what_does_not_is_kept(of_all, tmp_path):
     assert failed(of_all, tmp_path / "s.zarr", outputs=ANY) == (0, "")
 

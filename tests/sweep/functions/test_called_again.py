@@ -28,6 +28,15 @@ DIFFERENT = {
     "many points at once": experiment(vectorised=True)(lambda x: np.random.default_rng().normal(size=len(x))),
     "after a point that fails": lambda x: random.random() if x > 2.0 else 1 / 0,
 }
+SAME = {
+    "the order of a dict": lambda x: dict.fromkeys(("b", "c")[:: 1 - 2 * (next(counter) % 2)], x),
+    "texts": lambda x: [f"{x}", "ü"],
+    "a dataset": lambda x: xr.Dataset({"y": ("t", [x, 2.0])}, coords={"t": [0.5, 1.5]}),
+    "a seeded generator": lambda x: np.random.default_rng(3).normal(),
+    "a seeded global generator": lambda x: (np.random.seed(4), np.random.normal())[1],  # noqa: NPY002
+    "NaN": experiment(outputs=[Output("y", nan=True)])(lambda x: {"y": np.array([np.nan, x, np.inf])}),
+    "another, as declared": experiment(deterministic=False)(lambda x: random.random()),
+}
 
 
 @pytest.mark.parametrize("kind", DIFFERENT)
@@ -53,18 +62,6 @@ def test_so_it_is_where_a_call_takes_a_good_part_of_a_second(tmp_path, pool, las
     with pytest.raises(SweepError, match=r"called twice at x = \d"):
         run(late, tmp_path / "s.zarr", axes={"x": range(1, last + 1)}, pool=pool)
     assert not (tmp_path / "s.zarr").exists()
-
-
-SAME = {
-    "a number": lambda x: x / 3.0,
-    "the order of a dict": lambda x: dict.fromkeys(("b", "c")[:: 1 - 2 * (next(counter) % 2)], x),
-    "texts": lambda x: [f"{x}", "ü"],
-    "a dataset": lambda x: xr.Dataset({"y": ("t", [x, 2.0])}, coords={"t": [0.5, 1.5]}),
-    "a seeded generator": lambda x: np.random.default_rng(3).normal(),
-    "a seeded global generator": lambda x: (np.random.seed(4), np.random.normal())[1],  # noqa: NPY002
-    "NaN": experiment(outputs=[Output("y", nan=True)])(lambda x: {"y": np.array([np.nan, x, np.inf])}),
-    "another, as declared": experiment(deterministic=False)(lambda x: random.random()),
-}
 
 
 @pytest.mark.parametrize("kind", SAME)

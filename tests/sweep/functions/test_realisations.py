@@ -11,9 +11,18 @@ from tests.sweep.opening import same
 KEPT = {"n_sim": 1200, "seed": 3, "keep_samples": True}  # three blocks
 
 
-@experiment(
-    outputs=[Output("wait", "s", statistics=["mean", "std", "q90", "max"]), Output("pair", dims="k")], shared="gain"
-)
+OUTPUTS = [Output("wait", "s", statistics=["mean", "std", "q90", "max"]), Output("pair", dims="k")]
+A = [1.0, 2.0, 4.0, 7.0]
+LAID_OUT = {
+    "numbers": ("a", {"axes": {"a": A}}),
+    "texts": ("kind", {"axes": {"a": A[:2], "kind": ["x", "xy", "xyz", ""]}}),
+    "zipped": ("b", {"axes": {"a": A, "b": range(4)}, "grid": {"zip": [["a", "b"]]}}),
+    "conditional": ("a", {"axes": {"kind": ["x", "y"], "a": A}, "when": {"a": {"kind": ["x"]}}}),
+    "a table": ("a", {"points": {"a": A, "kind": ["x", "xy", "x", "xy"]}}),
+}
+
+
+@experiment(outputs=OUTPUTS, shared="gain")
 def queue(rng, gain: float = 1.0, rate: float = 2.0):
     return {"pair": gain + rng.normal(size=2), "wait": gain * rng.exponential(rate), "late": rng.random() > 0.5}
 
@@ -69,16 +78,6 @@ def turns(rng, n_sim, a: float = 1.0, b: int = 0, kind: str = "x"):
     return {"y": 10.0 + a + np.cos(a + b) * common + np.sin(a + len(kind)) * own}
 
 
-A = [1.0, 2.0, 4.0, 7.0]
-LAID_OUT = {
-    "numbers": ("a", {"axes": {"a": A}}),
-    "texts": ("kind", {"axes": {"a": A[:2], "kind": ["x", "xy", "xyz", ""]}}),
-    "zipped": ("b", {"axes": {"a": A, "b": range(4)}, "grid": {"zip": [["a", "b"]]}}),
-    "conditional": ("a", {"axes": {"kind": ["x", "y"], "a": A}, "when": {"a": {"kind": ["x"]}}}),
-    "a table": ("a", {"points": {"a": A, "kind": ["x", "xy", "x", "xy"]}}),
-}
-
-
 @pytest.mark.parametrize("layout", LAID_OUT)
 def test_points_that_are_cut_or_sorted_have_the_errors_that_they_had(tmp_path, layout):
     axis, study = LAID_OUT[layout]
@@ -107,14 +106,13 @@ def test_the_covariance_of_a_sum_is_that_of_the_sum(tmp_path):
         return {"total": [p["step"] * steps.sum() for p in points]}
 
     outputs = [Output(f"{name}{end}") for name in ("mean", "sum", "product") for end in ("", "_mc_error")]
-    step = linksweep.Parameter("step", "float", 1.0, "step")
 
     def summarise(sums, n, n_cat):
-        total, error = sums["total"], np.ones_like(n)
-        values = {"mean": total / n, "sum": total, "product": total * total}
-        return values | {f"{name}_mc_error": error for name in values}
+        values = {"mean": sums["total"] / n, "sum": sums["total"], "product": sums["total"] ** 2}
+        return values | {f"{name}_mc_error": np.ones_like(n) for name in values}
 
-    walks = linksweep.Experiment("walks", 1, (step,), {"total": ()}, tuple(outputs), walk, summarise, shared=("step",))
+    declared = "walks", 1, (linksweep.Parameter("step", "float", 1.0, "step"),), {"total": ()}, tuple(outputs)
+    walks = linksweep.Experiment(*declared, walk, summarise, shared=("step",))
     study = {"experiment": walks, "axes": {"step": [1.0, 2.0]}, "sampling": {"common_random_numbers": True}}
     for sampling in ({"n_sim": 512 * 6}, {"n_sim": 100, "n_cat": 7}):
         n = sampling["n_sim"] * sampling.get("n_cat", 1)
@@ -152,8 +150,7 @@ def test_samples_are_the_realisations_behind_the_results(tmp_path):
     study["sampling"] = {"n_sim": 520, "n_cat": 20, "seed": 5, "keep_samples": True}  # two parts, two groups
     kept = linksweep.run(study, tmp_path / "s.zarr", pool="serial")
     estimate = kept["estimate"]
-    assert estimate.dims == ("n_obj", "sample", "component")
-    assert estimate.sizes["sample"] == 10_400
+    assert dict(estimate.sizes) == {"n_obj": 2, "sample": 10_400, "component": 6}
     error = estimate - 1.0  # the truth is 1 in every component
     xr.testing.assert_allclose(np.sqrt((error**2).mean("sample")), kept["sigma"], rtol=1e-9)
     xr.testing.assert_allclose(error.mean("sample"), kept["bias"], rtol=1e-6)

@@ -21,6 +21,20 @@ from linksweep.sweep.report.page import report_page
 from linksweep.sweep.result import Result
 from tests.sweep.opening import check
 
+KEPT = {"a_float": 0.1 + 0.2, "negative_zero": -0.0, "denormal": 5e-324, "zero_d": np.array(2.5), "a_bool": True}
+KEPT |= {"numpy_float": np.float64(1 / 3), "single": np.float32(0.1), "an_int": 2**63 - 1, "least_int": -(2**63)}
+KEPT |= {"numpy_int": np.int32(-7), "unsigned": np.uint8(255), "numpy_bool": np.bool_(False), "zero_d_int": np.array(3)}
+ZONED = pd.Series([1.0, 2.0], index=pd.date_range("2020-06-01", periods=2, tz="Europe/Berlin"))
+GROWING = [((), [2, 3], "declare Output('a', ragged=True), Output('b', dims=('b_dim_0', 'b_dim_1'), ragged='b_dim_1')")]
+GROWING += [([Output("a", ragged=True)], [2, 3], "declare Output('b', dims=('b_dim_0', 'b_dim_1'), ragged='b_dim_1')")]
+GROWING += [
+    ([Output("b", ragged=True)], [2], "'b' has the dimensions (b_dim_0, b_dim_1): declare which of them is ragged")
+]
+GROWING += [([Output("a", ragged=True)], [4], "'a' is ragged, and 'a_length' is the name of its length; take another")]
+GROWING += [([Output("a", dims="p", ragged=True), Output("b", dims=("q", "p"))], [0, 2], "")]
+GROWING += [([Output("a", dims="p", ragged=True), Output("b", dims=("p", "q"), ragged="q")], [2], "several ragged")]
+GROWING += [([Output("b", dims=("q", "p"), ragged="q")], [0], "'a' has no values")]
+
 
 def results_of(results, folder, outputs=(), **options):
     """The dataset in which each of some results, by their names, is that of a point."""
@@ -38,14 +52,6 @@ def check_refused(expected, good, folder, outputs=()):
     reasons = {key.removeprefix("case="): why for key, why in json.loads(dataset.attrs["failures"]).items()}
     assert reasons.keys() == expected.keys()
     assert not {case: reasons[case] for case, (_, sentence) in expected.items() if sentence not in reasons[case]}
-
-
-KEPT = {
-    **{"a_float": 0.1 + 0.2, "negative_zero": -0.0, "denormal": 5e-324},
-    **{"numpy_float": np.float64(1 / 3), "single": np.float32(0.1), "an_int": 2**63 - 1, "least_int": -(2**63)},
-    **{"numpy_int": np.int32(-7), "unsigned": np.uint8(255), "a_bool": True, "numpy_bool": np.bool_(False)},
-    **{"zero_d": np.array(2.5), "zero_d_int": np.array(3)},
-}
 
 
 @pytest.mark.parametrize("more", [{}, {"array": [1.0, 2.0]}], ids=["the quick way", "the other"])
@@ -99,6 +105,10 @@ def test_xarray_keeps_dimensions_coordinates_units_and_what_stands_beside(tmp_pa
     assert turned.n.isel(case=0).values.tolist() == [[1.0, 3.0], [2.0, 4.0]]
 
 
+def at_k(value):
+    return {"y": xr.DataArray([1.0], dims="k", coords={"k": value})}
+
+
 REFUSED = {
     "nothing": (None, "f returns nothing (None)"),
     "an empty dict": ({}, "f returns no results"),
@@ -115,10 +125,7 @@ REFUSED = {
     "a large unsigned": ({"y": np.uint64(2**63)}, "integers have 64 bits"),
     "an integer that would be rounded": ({"y": [2**53 + 1, 0.5]}, "9007199254740993, an integer beyond 2**53, beside"),
     "a zone": ({"y": datetime.datetime(2024, 1, 1, tzinfo=datetime.UTC)}, "'y' is a time with the zone UTC"),
-    "a coordinate with a zone": (
-        {"y": pd.Series([1.0, 2.0], index=pd.date_range("2020-06-01", periods=2, tz="Europe/Berlin"))},
-        "'y' has a coordinate 'index' of times with the zone Europe/Berlin",
-    ),
+    "a coordinate with a zone": ({"y": ZONED}, "'y' has a coordinate 'index' of times with the zone Europe/Berlin"),
     "far times": ({"y": np.datetime64("9999-01-01")}, "beyond the years 1678 to 2261"),
     "a duration": ({"y": np.timedelta64(3, "s")}, "'y' is of type timedelta64[s]"),
     "a surrogate": ({"y": "\ud800"}, "'y' is '\\ud800', which has a lone surrogate"),
@@ -129,14 +136,8 @@ REFUSED = {
     "masked quantity": ({"y": Masked([1.0, 2.0] * u.km, mask=[False, True])}, "'y' has 1 masked values"),
     "quantities": ({"y": [1.0 * u.km, 2.0 * u.m]}, "'y' is a list of quantities; make one of them"),
     "a time of astropy": ({"y": Time(2020.0, format="jyear")}, "'y' is of type Time"),
-    "a coordinate of durations": (
-        {"y": xr.DataArray([1.0], dims="k", coords={"k": pd.to_timedelta([1], "h")})},
-        "'y' has a coordinate 'k' that is of type timedelta64",
-    ),
-    "a coordinate that is NaN": (
-        {"y": xr.DataArray([1.0], dims="k", coords={"k": [np.nan]})},
-        "'y' has a coordinate 'k' that has values that are not finite",
-    ),
+    "a coordinate of durations": (at_k(pd.to_timedelta([1], "h")), "a coordinate 'k' that is of type timedelta64"),
+    "a coordinate that is NaN": (at_k([np.nan]), "'y' has a coordinate 'k' that has values that are not finite"),
     "like a parameter": ({"case": 1.0}, "output 'case': is the name of another parameter"),
     "a name of ours": ({"status": 1.0}, "output 'status': the platform gives this name"),
     "no name": ({1: 1.0}, "the name 1 of an output is no text"),
@@ -248,18 +249,7 @@ def grows(n: int):
     return {"a": list(range(n)), "a_length": n} if n == 4 else {"a": list(range(n)), "b": np.ones((2, n))}
 
 
-@pytest.mark.parametrize(
-    ("outputs", "n", "problem"),
-    [
-        ((), [2, 3], "declare Output('a', ragged=True), Output('b', dims=('b_dim_0', 'b_dim_1'), ragged='b_dim_1')"),
-        ([Output("a", ragged=True)], [2, 3], "declare Output('b', dims=('b_dim_0', 'b_dim_1'), ragged='b_dim_1')"),
-        ([Output("b", ragged=True)], [2], "'b' has the dimensions (b_dim_0, b_dim_1): declare which of them is ragged"),
-        ([Output("a", ragged=True)], [4], "'a' is ragged, and 'a_length' is the name of its length; take another"),
-        ([Output("a", dims="p", ragged=True), Output("b", dims=("q", "p"))], [0, 2], ""),
-        ([Output("a", dims="p", ragged=True), Output("b", dims=("p", "q"), ragged="q")], [2], "several ragged"),
-        ([Output("b", dims=("q", "p"), ragged="q")], [0], "'a' has no values"),
-    ],
-)
+@pytest.mark.parametrize(("outputs", "n", "problem"), GROWING)
 def test_results_that_are_not_as_declared_are_refused_by_name(tmp_path, outputs, n, problem):
     declared = experiment(outputs=outputs)(grows) if outputs else grows
     ds = linksweep.run(declared, tmp_path / "s", axes={"n": n}, pool="serial", max_failures="100%")

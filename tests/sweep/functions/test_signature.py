@@ -12,6 +12,22 @@ from scipy.signal.windows import kaiser
 import linksweep
 from linksweep import Output, Parameter, SweepError, experiment, load_study, run
 
+TITLES = [*(("A cup of coffee that cools.", "Coffee", "Coffee"), ("What $x costs.", None, "f"), (None, None, "f"))]
+TITLES += [("A cup of coffee that cools.\n\n    The room has 20 degrees.\n", None, "A cup of coffee that cools")]
+TITLES += [("A cup of coffee\n    that cools.\n    The room has 20 degrees.", None, "A cup of coffee that cools")]
+TITLES += [("A cup, e.g. of coffee, that cools. The room has 20 degrees.", None, "A cup, e.g. of coffee, that cools")]
+RAGGED = Output("a", ragged=True)
+WRONG = [  # what is declared of which function, and what is said of it
+    ({"shared": "gian"}, lambda rng, gain: gain, "shared: 'gian' is no parameter; did you mean 'gain'?"),
+    ({"shared": ["gain"]}, lambda gain: gain, "shared: it takes no rng, and so it draws no random numbers"),
+    ({"deterministic": "no"}, lambda x: x, "deterministic = 'no': must be True or False"),
+    ({"outputs": [Output("a", ragged=3)]}, lambda x: [x], "ragged = 3: must be True, or one of its dims"),
+    ({"outputs": [Output("a", dims="s", ragged="t")]}, lambda x: [x], "'t': must be True, or one of its dims (s)"),
+    ({"outputs": [replace(RAGGED, dims=("s", "t"))]}, lambda x: [x], "its dimensions, such as ragged='t'"),
+    ({"outputs": [replace(RAGGED, dims="s", coords={"s": [1, 2]})]}, lambda x: [x], "return its coordinate as another"),
+    ({"outputs": [RAGGED]}, lambda x, rng: [x], "ragged: statistics of realisations need one length"),
+]
+
 
 def several(
     beta: Annotated[float, Parameter("contact rate", unit="1/d", above=0)],
@@ -61,15 +77,10 @@ def odd(x: list, y: complex):
 
 
 REFUSED = [
-    (math.sin, "x is positional-only"),
-    (lambda *args: 1, r"\*args is variadic"),
-    (lambda **options: 1, r"\*\*options is variadic"),
-    (np.hypot, "a NumPy ufunc.*wrap it in a function"),
-    (max, "its signature|is variadic"),
-    (Thing, "is a class"),
-    (Thing.method, "is a method and takes self"),
-    (waiting, "async"),
-    (lambda x: (yield x), "a generator"),
+    *((math.sin, "x is positional-only"), (lambda *args: 1, r"\*args is variadic"), (max, "its signature|is variadic")),
+    *((lambda **options: 1, r"\*\*options is variadic"), (np.hypot, "a NumPy ufunc.*wrap it in a function")),
+    *((Thing, "is a class"), (Thing.method, "is a method and takes self")),
+    *((waiting, "async"), (lambda x: (yield x), "a generator")),
     (odd, r"(?s)axes.x: x = 1.0: must be an object of another type.*y has no default"),
 ]
 
@@ -85,19 +96,6 @@ def test_what_cannot_be_swept_is_refused(function, sentence, tmp_path):
 def test_methods_of_objects_partials_and_callable_objects_are_functions(function, tmp_path):
     ds = run(function, tmp_path / "s.zarr", axes={"x": [1.0, 2.0]}, pool="serial")
     assert [ds[name].values.tolist() for name in ds if name not in ("status", "wall_time")] == [[1.0, 2.0]]
-
-
-RAGGED = Output("a", ragged=True)
-WRONG = [  # what is declared of which function, and what is said of it
-    ({"shared": "gian"}, lambda rng, gain: gain, "shared: 'gian' is no parameter; did you mean 'gain'?"),
-    ({"shared": ["gain"]}, lambda gain: gain, "shared: it takes no rng, and so it draws no random numbers"),
-    ({"deterministic": "no"}, lambda x: x, "deterministic = 'no': must be True or False"),
-    ({"outputs": [Output("a", ragged=3)]}, lambda x: [x], "ragged = 3: must be True, or one of its dims"),
-    ({"outputs": [Output("a", dims="s", ragged="t")]}, lambda x: [x], "'t': must be True, or one of its dims (s)"),
-    ({"outputs": [replace(RAGGED, dims=("s", "t"))]}, lambda x: [x], "its dimensions, such as ragged='t'"),
-    ({"outputs": [replace(RAGGED, dims="s", coords={"s": [1, 2]})]}, lambda x: [x], "return its coordinate as another"),
-    ({"outputs": [RAGGED]}, lambda x, rng: [x], "ragged: statistics of realisations need one length"),
-]
 
 
 @pytest.mark.parametrize(("declared", "function", "problem"), WRONG)
@@ -141,17 +139,7 @@ def test_a_declared_function_is_called_as_before_and_that_of_other_code_stays_as
     assert np.array_equal(ds.window.values[0], kaiser(5, 2.0))
 
 
-@pytest.mark.parametrize(
-    ("docstring", "title", "shown"),
-    [
-        ("A cup of coffee that cools.\n\n    The room has 20 degrees.\n", None, "A cup of coffee that cools"),
-        ("A cup of coffee that cools.", "Coffee", "Coffee"),
-        ("A cup of coffee\n    that cools.\n    The room has 20 degrees.", None, "A cup of coffee that cools"),
-        ("A cup, e.g. of coffee, that cools. The room has 20 degrees.", None, "A cup, e.g. of coffee, that cools"),
-        ("What $x costs.", None, "f"),
-        (None, None, "f"),
-    ],
-)
+@pytest.mark.parametrize(("docstring", "title", "shown"), TITLES)
 def test_the_title_is_the_first_sentence_of_the_docstring(tmp_path, docstring, title, shown):
     def f(start: float):
         return start

@@ -1,6 +1,4 @@
-"""Points, blocks and streams: blocks tile the realisations exactly once, nothing but the point itself decides its
-numbers, and tasks hold all work in its order.
-"""
+"""Blocks tile the realisations once, only the point itself decides its numbers, and tasks hold all work in order."""
 
 import json
 import math
@@ -20,13 +18,32 @@ from linksweep.sweep.studies.reader import load_study, study_from_dict
 from tests.conftest import COINS
 from tests.tiers import examples, slow
 
-PER_CENT = {
+PER_CENT = {  # relative errors of results, all of which are one
     "a": lambda n: np.sqrt(150.0 / n),
     "b": lambda n: np.sqrt(2000.0 / n),
     "lucky": lambda n: np.where(n == 128.0, 0.5, np.sqrt(2000.0 / n)),  # as b, but small by chance for the first 128
     "late": lambda n: np.where(n < 500.0, np.nan, 0.1),  # not known below 500
 }
-"""Relative errors of results, all of which are one."""
+ONE = study_from_dict({"title": "", "experiment": COINS})
+GRIDS = {
+    "plain": {"axes": {"metal": ["gold", "tin"], "coins": [1, 5, 3]}},
+    "excluded": {"axes": {"metal": ["gold", "tin"], "coins": [1, 5]}, "exclude": [{"metal": "tin", "coins": 5}]},
+    "zipped": {"axes": {"coins": [1, 5, 3], "chance": [0.2, 0.5, 0.4]}, "grid": {"zip": [["coins", "chance"]]}},
+    "repeated rows": {"points": {"columns": {"coins": [1, 5, 1]}}, "axes": {"chance": [0.5, 0.25]}},
+    "one point": {"fixed": {"coins": 4}},
+}
+KEYS = st.integers(1, 6).map(lambda number: number.to_bytes(KEY_BYTES, "little"))
+# of one hash, which leaves out these bytes
+KEYS |= st.integers(1, 4).map(lambda number: bytes(8) + bytes([number]) + bytes(KEY_BYTES - 9))
+NAMES = st.binary(min_size=16, max_size=16)
+BOTH = {"axes": {"coins": [2, 3], "chance": [0.5, 0.7]}}
+REACHED = {
+    "a": [128, 256, 512],  # 150 are needed: 128 are not precise enough, though within 10 %; and a quarter more
+    # 2000 are needed: in one go from what 128 have; the worse decides
+    **{names: [128, 2048, 2560] for names in ("b", "a b", "late b")},
+    "lucky": [128, 256, 2048, 2560],  # reached at 128, but not with a quarter more
+    "late": [128, 256, 512, 1024],  # twice as many while it is not known
+}
 
 
 def plan_of(document, experiment=None, **sampling):
@@ -35,22 +52,17 @@ def plan_of(document, experiment=None, **sampling):
     return Plan(make_grid(replace(study, experiment=experiment or study.experiment)))
 
 
-ONE = study_from_dict({"title": "", "experiment": COINS})
-
-
 def exact(*headlines):
     """An experiment whose errors are known exactly."""
     names = [*PER_CENT, *(f"{name}_mc_error" for name in PER_CENT)]
-    return replace(
-        ONE.experiment,
-        sums={"n": ()},
-        outputs=tuple(Output(name, "", name, headline=name in headlines, nan=True) for name in names),
-        evaluate=lambda points, n_sim, rng, catalogue_rng: {"n": [n_sim for _ in points]},
-        summarise=lambda sums, n, n_cat: {
-            **{name: np.ones_like(n) for name in PER_CENT},
-            **{f"{name}_mc_error": 0.01 * error(n) for name, error in PER_CENT.items()},
-        },
-    )
+    outputs = tuple(Output(name, "", name, headline=name in headlines, nan=True) for name in names)
+
+    def summarise(sums, n, n_cat):
+        errors = {f"{name}_mc_error": 0.01 * error(n) for name, error in PER_CENT.items()}
+        return dict.fromkeys(PER_CENT, np.ones_like(n)) | errors
+
+    how = {"evaluate": lambda points, n_sim, *_: {"n": [n_sim for _ in points]}, "summarise": summarise}
+    return replace(ONE.experiment, sums={"n": ()}, outputs=outputs, **how)
 
 
 experiment = exact(*PER_CENT)
@@ -73,10 +85,8 @@ def keys_of(plan):
 @settings(max_examples=examples(30), derandomize=True)
 @given(st.integers(1, 700), st.integers(1, 20), st.floats(1.0, 1e9), st.integers(0, 600), st.integers(0, 20))
 def test_blocks_tile_the_realisations_exactly_once_and_more_leave_whole_ones(n_sim, n_cat, cost, more_sim, more_cat):
-    before, after = (
-        plan_of({}, **sampling).blocks(cost)
-        for sampling in ({"n_sim": n_sim, "n_cat": n_cat}, {"n_sim": n_sim + more_sim, "n_cat": n_cat + more_cat})
-    )
+    before = plan_of({}, n_sim=n_sim, n_cat=n_cat).blocks(cost)
+    after = plan_of({}, n_sim=n_sim + more_sim, n_cat=n_cat + more_cat).blocks(cost)
     covered = np.zeros((n_cat, n_sim), dtype=int)
     sims = max(block.n_sim for block in before)
     for block in before:
@@ -99,21 +109,11 @@ def test_a_point_is_the_same_in_any_grid_and_however_it_is_written(coins):
     assert keys_of(plan_of(whole | {"fixed": {"coins": 1.0}})) == keys_of(plan_of(whole))
 
 
-GRIDS = {
-    "plain": {"axes": {"metal": ["gold", "tin"], "coins": [1, 5, 3]}},
-    "excluded": {"axes": {"metal": ["gold", "tin"], "coins": [1, 5]}, "exclude": [{"metal": "tin", "coins": 5}]},
-    "zipped": {"axes": {"coins": [1, 5, 3], "chance": [0.2, 0.5, 0.4]}, "grid": {"zip": [["coins", "chance"]]}},
-    "repeated rows": {"points": {"columns": {"coins": [1, 5, 1]}}, "axes": {"chance": [0.5, 0.25]}},
-    "one point": {"fixed": {"coins": 4}},
-}
-
-
 @pytest.mark.parametrize("name", GRIDS)
 def test_digests_are_those_of_stores_that_are_years_old(name, monkeypatch):
     monkeypatch.setattr("linksweep.sweep.planning.grid.AT_ONCE", 2)
     grid = plan_of(GRIDS[name]).grid
-    points = list(grid.points())
-    defaults = grid.study.experiment.defaults()
+    points, defaults = list(grid.points()), grid.study.experiment.defaults()
     for point in points:
         differing = {name: value for name, value in sorted(point.parameters.items()) if value != defaults[name]}
         assert point.digest == point.stream == blake2b(json.dumps(differing).encode(), digest_size=16).digest()
@@ -184,8 +184,8 @@ def test_what_a_worker_did_not_come_to_is_pending_again():
     [task] = pending.take(1)
     assert len(task) > 10
     assert pending.settle(task, np.full(7, 1.0)) == task[:7]
-    left = [work for works in tasks_of(pending, lambda point: 1.0) for work in works]
-    assert sorted(work.points[0].index for work in [*first, *task[:7], *left]) == list(range(200))
+    works = sum(tasks_of(pending, lambda point: 1.0), [*first, *task[:7]])
+    assert sorted(work.points[0].index for work in works) == list(range(200))
 
 
 @pytest.mark.parametrize(("most", "parts"), [(64, 1), (65, 2), (129, 3), (512, 4), (513, 5), (1025, 6)])
@@ -197,26 +197,15 @@ def test_the_parts_of_a_precision_double_until_blocks_are_whole(most, parts):
     assert [block.n_sim for block in plan.blocks(1.0, range(8))] == np.diff(reached).tolist()
 
 
-@pytest.mark.parametrize(
-    ("headlines", "expected"),
-    [
-        (("a",), [128, 256, 512]),  # 150 are needed: 128 are not precise enough, though within 10 %; and a quarter more
-        (("b",), [128, 2048, 2560]),  # 2000, in one go from what 128 have
-        (("a", "b"), [128, 2048, 2560]),  # both: the worse decides
-        (("lucky",), [128, 256, 2048, 2560]),  # reached at 128, but not with a quarter more
-        (("late",), [128, 256, 512, 1024]),  # twice as many while it is not known
-        (("late", "b"), [128, 2048, 2560]),
-    ],
-)
+@pytest.mark.parametrize(("headlines", "expected"), REACHED.items())
 def test_a_point_gets_what_the_worst_of_its_results_needs_at_once(headlines, expected):
-    plan = precise(headlines, precision=0.01)
+    plan = precise(headlines.split(), precision=0.01)
     accumulator = Accumulator(plan)
     (point,) = plan.grid.points()
     blocks, reached = list(accumulator.missing(point)), []
     while blocks:
-        blocks = [
-            more for block in blocks for more in accumulator.add(point, block, row([block.realisations], accumulator))
-        ]
+        each = [accumulator.add(point, block, row([block.realisations], accumulator)) for block in blocks]
+        blocks = [block for more in each for block in more]
         reached.append(int(accumulator.realisations[0]))
     assert accumulator.status[0] == Status.DONE
     assert reached == expected
@@ -268,7 +257,6 @@ def test_a_failed_point_is_given_out_no_more_and_never_done(taken_before):
 
 @given(reads=st.dictionaries(st.integers(1, 3), st.sampled_from(["chance", "metal"]), max_size=2), order=st.randoms())
 def test_what_is_asked_of_a_point_is_its_own_answer_whatever_it_depends_on(reads, order):
-    """Of some values of one axis on another one too."""
 
     def cost(point):
         other = point[reads[point["coins"]]] if point["coins"] in reads else ""
@@ -279,11 +267,6 @@ def test_what_is_asked_of_a_point_is_its_own_answer_whatever_it_depends_on(reads
     points = [parameters for _, parameters in plan.grid.parameters()]
     order.shuffle(points)
     assert [plan.cost(point) for point in points] == [cost(point) for point in points]
-
-
-KEYS = st.integers(1, 6).map(lambda number: number.to_bytes(KEY_BYTES, "little")) | st.integers(1, 4).map(
-    lambda number: bytes(8) + bytes([number]) + bytes(KEY_BYTES - 9)  # of one hash, which leaves out these bytes
-)
 
 
 @given(st.lists(st.tuples(KEYS, st.booleans()), max_size=12), st.lists(KEYS, max_size=5), st.lists(KEYS, max_size=9))
@@ -302,15 +285,9 @@ def test_rows_of_a_ledger_are_found_as_a_dictionary_finds_them(first, further, w
     assert len(rows) == len(expected) - len(removed)
 
 
-@given(
-    st.integers(0, 2**64 - 1),
-    st.binary(min_size=16, max_size=16),
-    st.integers(0, 2**32 - 40),
-    st.integers(0, 2**32 - 1),
-)
+@given(st.integers(0, 2**64 - 1), NAMES, st.integers(0, 2**32 - 40), st.integers(0, 2**32 - 1))
 @example(2**64 - 1, bytes(16), 0, 0)
 def test_streams_are_numpys_own_children_of_the_seed(seed, name, first, part):
-    """And so are those that spawn from them."""
 
     def state(rng):
         return rng.bit_generator.state["state"]["state"].tolist()
@@ -353,34 +330,27 @@ def grid_of(study, unused=even_are_fair):
 @pytest.mark.parametrize(
     ("study", "named"),
     [
-        ({"fixed": {"chance": 0.7}}, ["chance = 0.7 changes nothing: even numbers are fair"]),
-        ({"fixed": {"chance": 0.5}}, ["chance = 0.5 changes nothing"]),  # even at its default: it seems to matter
-        ({"axes": {"coins": [2, 4]}, "fixed": {"chance": 0.7, "metal": "tin"}}, ["chance = 0.7", "metal = 'tin'"]),
+        ({"fixed": {"chance": 0.7}}, "chance = 0.7 changes nothing: even numbers are fair"),
+        ({"fixed": {"chance": 0.5}}, "chance = 0.5 changes nothing"),  # even at its default: it seems to matter
+        ({"axes": {"coins": [2, 4]}, "fixed": {"chance": 0.7, "metal": "tin"}}, "(?s)chance = 0.7.*metal = 'tin'"),
         (
             {"axes": {"chance": [0.5, 0.6, 0.7]}},
-            ["axis chance changes nothing at some points: even numbers are fair (2"],
+            r"axis chance changes nothing at some points: even numbers are fair \(2",
         ),
-        ({"axes": {"coins": [2, 3], "chance": [0.5, 0.7]}}, ["axis chance changes nothing", "(1 point)"]),
+        (BOTH, r"axis chance changes nothing.*\(1 point\)"),
     ],
 )
 def test_what_changes_nothing_is_refused_by_name(study, named):
-    with pytest.raises(SweepError) as error:
+    with pytest.raises(SweepError, match=named):
         grid_of(study)
-    assert all(words in str(error.value) for words in named)
 
 
-@pytest.mark.parametrize(
-    ("study", "points"),
-    [
-        ({}, 1),
-        ({"fixed": {"chance": 0.7, "coins": 3}}, 1),
-        ({"axes": {"coins": [2, 3, 4]}, "fixed": {"chance": 0.7}}, 3),  # it matters for one of them
-        ({"axes": {"coins": [2, 3], "chance": [0.5, 0.7]}, "exclude": [{"coins": 2, "chance": 0.7}]}, 3),
-        ({"axes": {"coins": [2, 3], "chance": [0.5, 0.7]}, "grid": {"zip": [["coins", "chance"]]}}, 2),
-    ],
-)
-def test_what_matters_at_some_point_is_taken(study, points):
-    assert len(list(grid_of(study).points())) == points
+def test_what_matters_at_some_point_is_taken():
+    assert len(list(grid_of({}).points())) == 1
+    assert len(list(grid_of({"fixed": {"chance": 0.7, "coins": 3}}).points())) == 1
+    assert len(list(grid_of({"axes": {"coins": [2, 3, 4]}, "fixed": {"chance": 0.7}}).points())) == 3  # for one of them
+    assert len(list(grid_of(BOTH | {"exclude": [{"coins": 2, "chance": 0.7}]}).points())) == 3
+    assert len(list(grid_of(BOTH | {"grid": {"zip": [["coins", "chance"]]}}).points())) == 2
 
 
 @pytest.mark.parametrize("when", [{}, {"chance": {"coins": [3]}}])

@@ -7,6 +7,19 @@ import linksweep
 from linksweep import SweepError
 from tests.tiers import slow
 
+LIMIT, NUMBER = r"$V_\mathrm{max}$ [mag]", r"$N_\mathrm{obj}$"
+# Of a study: how many panels, and along what
+PICTURES = {"quasars": (2, LIMIT), "sqrt-n": (2, NUMBER), "mission-length": (2, "$T$ [yr]"), "grid": (4, NUMBER)}
+PICTURES |= {"error-surface": (1, r"reference error scale $\Delta_\mathrm{ref}$"), "aberration": (4, LIMIT)}
+PICTURES |= {"algorithm": (6, r"$|\epsilon|$ [mas] = $|\omega|$ [mas/yr]"), "radio-stars": (1, NUMBER)}
+PICTURES |= {"galaxies": (1, r"$\sigma(\omega)$ [mas/yr]"), "scatter": (1, r"$\omega_{x}$ [mas/yr]")}
+PICTURES |= {"pulsar-timing": (2, "component"), "icrf2-icrf3": (1, "component"), "magnitude-equation": (4, LIMIT)}
+MAPS = {
+    "product": lambda x, y: x * y,
+    "plateau": lambda x, y: min(x * y, 8.0),
+    "noise": lambda x, y: x + y + 7.0 * np.sin(1e4 * x * y),
+}
+
 
 def axes_of(figure):
     """The panels of a figure, without colour bars."""
@@ -15,17 +28,6 @@ def axes_of(figure):
 
 def texts(legend):
     return [text.get_text() for text in legend.get_texts()]
-
-
-LIMIT, NUMBER = r"$V_\mathrm{max}$ [mag]", r"$N_\mathrm{obj}$"
-PICTURES = {  # of a study: how many panels, and along what
-    **{"quasars": (2, LIMIT), "sqrt-n": (2, NUMBER), "mission-length": (2, "$T$ [yr]")},
-    **{"error-surface": (1, r"reference error scale $\Delta_\mathrm{ref}$"), "grid": (4, NUMBER)},
-    **{"algorithm": (6, r"$|\epsilon|$ [mas] = $|\omega|$ [mas/yr]"), "aberration": (4, LIMIT)},
-    **{"radio-stars": (1, NUMBER), "galaxies": (1, r"$\sigma(\omega)$ [mas/yr]")},
-    **{"scatter": (1, r"$\omega_{x}$ [mas/yr]"), "pulsar-timing": (2, "component")},
-    **{"icrf2-icrf3": (1, "component"), "magnitude-equation": (4, LIMIT)},
-}
 
 
 @pytest.mark.parametrize("name", [name if name == "quasars" else slow(name) for name in PICTURES])
@@ -141,35 +143,24 @@ mode = ["a", "b"]
 WAVE = "def wave(x: float, mode: str):\n    return {'first': x, 'second': x * len(mode), 'third': -x}\n"
 
 
-@pytest.mark.parametrize(
-    ("figure", "code", "drawn"),
-    [
-        ('variable = "second"\nat = { mode = "b" }\nlog = ["second"]', 0, ["second"]),
-        ('kind = "curve"', 1, "no curve of first here; possible are lines"),
-        ('at = { mode = "c" }', 2, "'c' is not on the axis"),
-        ('at = { mood = "a" }', 0, ["first"]),  # what a function returns is not known before it runs
-    ],
-)
-def test_a_study_names_its_figure(tmp_path, sweep, monkeypatch, figure, code, drawn):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "wave.py").write_text(WAVE)
-    (tmp_path / "wave.toml").write_text(STUDY + figure)
+FIGURES = [('variable = "second"\nat = { mode = "b" }\nlog = ["second"]', 0, ["second"])]
+FIGURES += [('at = { mood = "a" }', 0, ["first"])]  # what a function returns is not known before it runs
+FIGURES += [('kind = "curve"', 1, "no curve of first here; possible are lines")]
+
+
+@pytest.mark.parametrize(("figure", "code", "drawn"), [*FIGURES, ('at = { mode = "c" }', 2, "'c' is not on the axis")])
+def test_a_study_names_its_figure(here, sweep, figure, code, drawn):
+    (here / "wave.py").write_text(WAVE)
+    (here / "wave.toml").write_text(STUDY + figure)
     refused = code == 2
     ended, _, err = sweep("run", "wave.toml", "-o", "w.zarr", "--pool", "serial")
-    assert (ended, (tmp_path / "w.zarr").exists()) == (2 if refused else 0, not refused), err
+    assert (ended, (here / "w.zarr").exists()) == (2 if refused else 0, not refused), err
     if code:
         assert drawn in (err if refused else sweep("plot", "w.zarr")[2])
         return
     for options, labels in (({}, drawn), ({"variables": ["second"]}, ["second"])):  # what is asked for comes first
         figure = linksweep.plot(linksweep.open("w.zarr"), **options)
         assert [axes.get_ylabel() for axes in axes_of(figure)] == labels
-
-
-MAPS = {
-    "product": lambda x, y: x * y,
-    "plateau": lambda x, y: min(x * y, 8.0),
-    "noise": lambda x, y: x + y + 7.0 * np.sin(1e4 * x * y),
-}
 
 
 @pytest.mark.parametrize("name", ["product", slow("plateau"), slow("noise")])

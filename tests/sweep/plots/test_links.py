@@ -57,9 +57,7 @@ def test_arrows_point_as_the_sky_does():
     np.testing.assert_allclose(length / length[0], np.hypot(*values.T), rtol=1e-9)
     np.testing.assert_allclose(angle[:2] % 360.0, [180.0, 90.0], atol=0.1)
     assert 0.0 < angle[2] < 80.0  # on the left edge a meridian leans inwards
-    small = 1e-3
-    east, north = small * values.T
-    places = np.radians([180.0 - ra, dec])
+    (east, north), places = 1e-3 * values.T, np.radians([180.0 - ra, dec])
     steps = np.radians([-east / np.cos(np.radians(dec)), north])
     there = axes.transProjection.transform((places + steps).T) - axes.transProjection.transform(places.T)
     np.testing.assert_allclose(np.degrees(np.arctan2(there[:, 1], there[:, 0])) % 360.0, angle % 360.0, atol=1.0)
@@ -133,9 +131,8 @@ def test_right_ascension_grows_to_the_left():
 
 def test_the_galactic_plane_is_that_of_astropy():
     [axes] = sky.sky_figure(xr.Dataset({"ra": ("object", [0.0]), "dec": ("object", [0.0])})).axes
-    plane, centre = (
-        next(line for line in axes.lines if line.get_label() == f"Galactic {n}") for n in ("plane", "centre")
-    )
+    lines = {line.get_label(): line for line in axes.lines}
+    plane, centre = lines["Galactic plane"], lines["Galactic centre"]
     x, y = plane.get_xdata(), plane.get_ydata()
     drawn = np.isfinite(y)
     assert drawn.sum() >= len(y) - 2

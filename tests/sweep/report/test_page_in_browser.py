@@ -15,14 +15,10 @@ from tests.tiers import PATIENCE_S
 
 __all__ = ["evil_store"]
 CHROMIUM, DRIVER = shutil.which("chromium"), shutil.which("chromedriver")
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(CHROMIUM is None or DRIVER is None, reason="needs chromium and chromedriver"),
-]
-OPTIONS = [
-    *("--headless=new", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-dev-shm-usage"),
-    *("--disable-background-networking", "--disable-component-update", "--disable-sync"),
-]
+NEEDS = pytest.mark.skipif(CHROMIUM is None or DRIVER is None, reason="needs chromium and chromedriver")
+pytestmark = [pytest.mark.slow, NEEDS]
+OPTIONS = ["--headless=new", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-sync"]
+OPTIONS += ["--disable-dev-shm-usage", "--disable-background-networking", "--disable-component-update"]
 
 # Elements in all shadow roots too, where BokehJS puts its own.
 EVERYTHING = """
@@ -64,8 +60,7 @@ def show(chromium, tmp_path, sweep_here):
 
     def open_page(stores, width=1200, theme="light"):
         path = tmp_path / "page.html"
-        code, _, err = sweep_here("report", *stores, "-o", path)
-        assert code == 0, err
+        sweep_here("report", *stores, "-o", path, code=0)
         empty_page(chromium, width, theme)
         chromium.get(path.as_uri())
         wait_for_turn(chromium, 1)

@@ -18,6 +18,10 @@ from linksweep import SweepError
 from tests.sweep.opening import OpenStore
 from tests.tiers import examples, slow
 
+PLAIN = st.one_of(st.none(), st.booleans(), st.floats(1, 9), st.text("abc", max_size=3))
+WRONG = ({"gam": {"kernel": ["rbf"]}}, {"gamma": {"kernl": ["rbf"]}}, {"gamma": {"kernel": "rbf"}}, {"gamma": ["rbf"]})
+NUMBERS = st.lists(st.sampled_from([1, 2, 3, 1.0, 2.0, 2.5]), min_size=1, unique=True)
+
 
 class Colour(enum.Enum):
     RED = 1
@@ -34,9 +38,6 @@ class Net:
 
     def __init__(self, width):
         self.width = width
-
-
-SOME = st.sets(st.integers(1, 3), min_size=1)
 
 
 def double(x):
@@ -71,16 +72,12 @@ def test_an_axis_has_values_of_all_types(pool, tmp_path):
     assert linksweep.open(tmp_path / "s.zarr").sizes["thing"] == len(values)
 
 
-PLAIN = st.one_of(st.none(), st.booleans(), st.floats(1, 9), st.text("abc", max_size=3))
-THINGS = st.recursive(
-    PLAIN,
-    lambda inner: st.one_of(
-        st.lists(inner, max_size=3),
-        st.lists(inner, max_size=3).map(tuple),
-        st.dictionaries(st.text("ab", max_size=2), inner, max_size=2),
-    ),
-    max_leaves=5,
-)
+def holding(inner):
+    lists = st.lists(inner, max_size=3)
+    return lists | lists.map(tuple) | st.dictionaries(st.text("ab", max_size=2), inner, max_size=2)
+
+
+THINGS = st.recursive(PLAIN, holding, max_leaves=5)
 
 
 @given(things=st.lists(THINGS, min_size=1, max_size=6, unique_by=repr), some=st.integers(1, 6), seed=st.randoms())
@@ -101,9 +98,8 @@ def test_what_is_there_under_a_label_is_not_computed_again(tmp_path_factory, thi
         assert ds.seen.values.tolist() == list(map(repr, axis.values()))
     assert set(calls[number:]) == {repr(labels[label]) for label in others.keys() - few.keys()}
     whole = linksweep.open(store)
-    assert dict(zip(whole.thing.values.tolist(), whole.seen.values.tolist(), strict=True)) == {
-        label: repr(thing) for label, thing in (few | others).items()
-    }
+    expected = {label: repr(thing) for label, thing in (few | others).items()}
+    assert dict(zip(whole.thing.values.tolist(), whole.seen.values.tolist(), strict=True)) == expected
 
 
 def test_an_object_of_ones_own_needs_a_label_and_constants_and_tables_have_objects(tmp_path):
@@ -138,15 +134,12 @@ def test_objects_that_cannot_be_told_apart_are_refused(axes, said, tmp_path):
 
 
 def test_what_may_be_none_can_be_none(tmp_path, sweep):
-    (tmp_path / "m.py").write_text(
-        "from typing import Optional\n"
-        "def f(a: Optional[float] = None, b: int | None = 3, name: str = 'x', s: str | None = None):\n"
-        "    return {'text': f'{a} {b} {name} {s!r}'}\n"
-    )
+    text = "def f(a: Optional[float] = None, b: int | None = 3, name: str = 'x', s: str | None = None):\n"
+    text = f"from typing import Optional\n{text}    return {{'text': f'{{a}} {{b}} {{name}} {{s!r}}'}}\n"
+    (tmp_path / "m.py").write_text(text)
     for more in ((), ("--set", "s=None"), ("--axis", "s=None,abc")):
         asked = ("--axis", "a=None,1", "--axis", "b=None,3", "--axis", "name=1e3,true", *more)
-        code, _, err = sweep("run", "m.py:f", *asked, "-o", "s.zarr", "-q", cwd=tmp_path)
-        assert code == 0, err
+        sweep("run", "m.py:f", *asked, "-o", "s.zarr", "-q", cwd=tmp_path, code=0)
     text = linksweep.open(tmp_path / "s.zarr").text.sel(b="None", name="1e3")
     assert text.sel(s="None").values.tolist() == ["None None 1e3 None", "1.0 None 1e3 None"]
     assert text.sel(s="abc").values.tolist() == ["None None 1e3 'abc'", "1.0 None 1e3 'abc'"]
@@ -156,7 +149,7 @@ def test_what_may_be_none_can_be_none(tmp_path, sweep):
 def test_another_object_under_a_label_of_the_store_is_refused(tmp_path):
     def run(width, **more):
         axes = {"net": {"small": Net(width), "big": Net(80)}}
-        return linksweep.run(lambda net: net.width, tmp_path / "s.zarr", axes=axes, pool="serial", **more)
+        linksweep.run(lambda net: net.width, tmp_path / "s.zarr", axes=axes, pool="serial", **more)
 
     run(8)
     with pytest.raises(SweepError, match="net: 'small' is another value than in the store"):
@@ -181,9 +174,6 @@ def test_where_a_declared_parameter_has_no_effect_there_is_one_point_without_it(
     for missing in ("nan", "None"):
         code, out, err = sweep("show", tmp_path / "s.zarr", "--at", f"gamma={missing}", "--json")
         assert (code, [row["fit"] for row in json.loads(out)["rows"] if row["fit"] is not None]) == (0, [107.0]), err
-
-
-WRONG = ({"gam": {"kernel": ["rbf"]}}, {"gamma": {"kernl": ["rbf"]}}, {"gamma": {"kernel": "rbf"}}, {"gamma": ["rbf"]})
 
 
 @pytest.mark.parametrize("when", [*WRONG, "gamma", {"gamma": {"kernel": []}}, {"gamma": {"gamma": [1.0]}}])
@@ -220,9 +210,7 @@ def studies(draw, *kinds):
         least, most = {"axes": (1, 3), "fixed": (1, 1), "default": (0, 0), "zip": (2, 2), "columns": (3, 3)}[kind]
         some = st.lists(st.sampled_from(values), min_size=least, max_size=most, unique=kind != "columns")
         groups.setdefault((kind, number if kind == "axes" else 0), {})[name] = draw(some)
-    named = {
-        kind: {n: v for (one, _), some in groups.items() if one == kind for n, v in some.items()} for kind in kinds
-    }
+    named = {kind: dict(ChainMap(*(some for (one, _), some in groups.items() if one == kind))) for kind in kinds}
     zipped, columns = named["zip"], named.get("columns")
     study = {"axes": named["axes"] | zipped, "fixed": {name: value for name, (value,) in named["fixed"].items()}}
     study |= {"grid": {"zip": [[*zipped]]}} if len(zipped) > 1 else {}
@@ -232,18 +220,14 @@ def studies(draw, *kinds):
 
 
 SUBSETS = {name: st.lists(st.sampled_from(values), min_size=1, unique=True) for name, values in VALUES.items()}
+CONDITIONS = {
+    name: st.fixed_dictionaries({}, optional={other: SUBSETS[other] for other in earlier}).filter(bool)
+    for name, earlier in (("b", "a"), ("c", "ab"), ("d", "abc"))
+}
+KINDS = "axes", "fixed", "default", "zip"
 
 
-@given(
-    runs=st.tuples(studies("axes", "fixed", "default", "zip", "columns"), studies("axes", "fixed", "default", "zip")),
-    when=st.fixed_dictionaries(
-        {},
-        optional={
-            name: st.fixed_dictionaries({}, optional={other: SUBSETS[other] for other in earlier}).filter(bool)
-            for name, earlier in (("b", "a"), ("c", "ab"), ("d", "abc"))
-        },
-    ),
-)
+@given(st.tuples(studies(*KINDS, "columns"), studies(*KINDS)), st.fixed_dictionaries({}, optional=CONDITIONS))
 @settings(max_examples=examples(30), derandomize=True)
 def test_conditions_of_any_depth_hold_at_each_point_wherever_its_values_come_from(tmp_path_factory, runs, when):
     store, expected = tmp_path_factory.mktemp("when") / "s.zarr", dict[tuple, str]()
@@ -280,12 +264,9 @@ def test_conditions_tell_truth_values_from_numbers(tmp_path, axis):
         assert {*ds.result.values[ds.status.values == 1]} == expected
 
 
-def test_only_the_script_tries_failed_points_of_its_objects_again(tmp_path, monkeypatch, sweep):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "m.py").write_text(
-        'import os\ndef g(x, m: float = 1.0):\n    if m == 2.0 and not os.path.exists("mended"):\n'
-        '        raise ValueError("broken")\n    return m * len(str(x))\n'
-    )
+def test_only_the_script_tries_failed_points_of_its_objects_again(here, sweep):
+    text = "import os\ndef g(x, m: float = 1.0):\n    if m == 2.0 and not os.path.exists('mended'):\n"
+    (here / "m.py").write_text(f"{text}        raise ValueError('broken')\n    return m * len(str(x))\n")
 
     def run(x, store="s.zarr", **more):
         return linksweep.run("m.py:g", store, axes={"x": x, "m": [1.0, 2.0]}, pool="serial", **more)
@@ -295,16 +276,13 @@ def test_only_the_script_tries_failed_points_of_its_objects_again(tmp_path, monk
     for command in (["run", "--retry", "s.zarr"], ["reproduce", "s.zarr", "--at", "x=2020-01-01,m=2"]):
         code, _, said = sweep(*command)
         assert (code, "x = '2020-01-01' is the label of an object that only its script can make" in said) == (2, True)
-    (tmp_path / "mended").touch()
+    (here / "mended").touch()
     assert np.isnan(run(dates).g.values[:, 1]).all()
     assert run(dates[:1], retry=True).g.values.tolist() == [[10.0, 20.0]]
     assert linksweep.open("s.zarr").g.fillna(0.0).values.tolist() == [[10.0, 20.0], [8.0, 0.0]]
     for store, more, words in (("s.zarr", {"fresh": True}, "retry = True: does not go with"), ("t", {}, "no store is")):
         with pytest.raises(SweepError, match=words):
             run(dates, store, retry=True, **more)
-
-
-NUMBERS = st.lists(st.sampled_from([1, 2, 3, 1.0, 2.0, 2.5]), min_size=1, unique=True)
 
 
 @given(runs=st.lists(st.tuples(st.booleans(), NUMBERS), max_size=4))
@@ -354,16 +332,11 @@ class Word(enum.StrEnum):
     YES = "y"
 
 
-@pytest.mark.parametrize(
-    ("declared", "values", "labels"),
-    [
-        ("m", [*Level, 3], ["LOW", "HIGH", "3"]),
-        ("m", [*Word, "None"], ["YES", "None"]),
-        ("m: Level = Level.LOW", [*Level], ["LOW", "HIGH"]),
-        ("m: int", [*Level], [1, 2]),
-        ("m: str", [*Word], ["y"]),
-    ],
-)
+MEMBERS = [("m", [*Level, 3], ["LOW", "HIGH", "3"]), ("m: Level = Level.LOW", [*Level], ["LOW", "HIGH"])]
+MEMBERS += [("m", [*Word, "None"], ["YES", "None"]), ("m: int", [*Level], [1, 2]), ("m: str", [*Word], ["y"])]
+
+
+@pytest.mark.parametrize(("declared", "values", "labels"), MEMBERS)
 def test_members_of_enumerations_of_numbers_and_texts_are_what_they_are(tmp_path, declared, values, labels):
     names = {"Level": Level}
     exec(f"def kind({declared}):\n    return type(m).__name__", names)
@@ -373,11 +346,9 @@ def test_members_of_enumerations_of_numbers_and_texts_are_what_they_are(tmp_path
     assert ds.kind.values.tolist() == [type(v).__name__ if labels != [1, 2] else "int" for v in values]
 
 
-def test_objects_of_other_runs_are_never_computed_without_their_script(tmp_path, sweep, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    Path("m.py").write_text(
-        "def f(x=None, y: int = 2):\n    return repr((x, y))\n\n\ndef g(rng, x=None):\n    return x is None\n"
-    )
+def test_objects_of_other_runs_are_never_computed_without_their_script(here, sweep):
+    f = "def f(x=None, y: int = 2):\n    return repr((x, y))\n"
+    Path("m.py").write_text(f"{f}\ndef g(rng, x=None):\n    return x is None\n")
     for name, more, changed in (("f", {}, "--redo=y > 1"), ("g", {"sampling": {"n_sim": 60}}, "--set=n_sim=600")):
         linksweep.run(f"m.py:{name}", f"{name}.zarr", axes={"x": [(1, "a"), 1]}, pool="serial", **more)
         before = linksweep.open(f"{name}.zarr")
@@ -401,12 +372,13 @@ def test_what_has_no_label_of_its_own_in_a_store_is_refused_before_it_is_there(t
         return sweep("run", "v.py:score", "--axis", axis, "-o", "s.zarr", *more, cwd=tmp_path)
 
     assert run("version=1,2")[0] == 0
-    for axis, annotation, words in (
-        ('version="1",2b', "", "two values have the label '1'"),
-        ("version=2,3", ": float", "would be"),
-        ("version=a,b", ": str", "must be"),
-    ):
-        code, _, err = run(axis, "--accept-code", annotation=annotation)
+    wrong = [
+        ('"1",2b', "", "two values have the label '1'"),
+        ("2,3", ": float", "would be"),
+        ("a,b", ": str", "must be"),
+    ]
+    for values, annotation, words in wrong:
+        code, _, err = run(f"version={values}", "--accept-code", annotation=annotation)
         assert (code, words in err, "--only" in err) == (2, True, True), err
     assert run("version=3")[0] == 0
     assert linksweep.open(tmp_path / "s.zarr").version.values.tolist() == [1, 2, 3]

@@ -15,6 +15,11 @@ from linksweep import SweepError
 from tests.sweep.opening import POINT, POINT_TABLE, OpenStore, merge, same
 from tests.tiers import examples, slow
 
+LINK = {"experiment": "linksweep.core.experiment:link", "sampling": {"n_sim": 60, "n_cat": 3, "seed": 8}}
+STARS = {"x": [1.0, 2.0, 2.0], "star": ["Sirius", None, "Vega"], "hd": [48915, 2**62, 172167]}
+CELLS = st.one_of(st.none(), st.text("ab", max_size=2), st.integers(0, 3), st.floats(0, 2))
+TABLES = st.lists(st.tuples(st.sampled_from([1.0, 2.0, 3.0]), CELLS), min_size=1, max_size=5)
+
 
 def run(study, store, points=None, labels=None, **given):
     return linksweep.run(study, store, points=points, labels=labels, pool="serial", **given)
@@ -34,9 +39,7 @@ def test_repeated_rows_are_computed_once_and_stand_in_the_table_as_often(tmp_pat
     model, calls = counting()
     ds = run(model, tmp_path / "s.zarr", points={"x": [1.0, 2.0, 1.0, 3.0, 2.0]}, axes={"k": [1, 2]})
     assert calls == [(1.0, 1), (1.0, 1), (1.0, 2), (2.0, 1), (2.0, 2), (3.0, 1), (3.0, 2)]  # the first one twice
-    assert ds.y.dims == (POINT, "k")
-    assert ds.x.dims == (POINT,)
-    assert ds.point.values.tolist() == [0, 1, 2, 3, 4]
+    assert (ds.y.dims, ds.x.dims, ds.point.values.tolist()) == ((POINT, "k"), (POINT,), [0, 1, 2, 3, 4])
     expected = [[0.1 * x + k for k in (1, 2)] for x in (1.0, 2.0, 1.0, 3.0, 2.0)]
     assert ds.y.values.tolist() == expected
     assert ds.name.values[:, 0].tolist() == ["1", "2", "1", "3", "2"]
@@ -89,9 +92,6 @@ def test_a_larger_design_keeps_the_old_points_and_their_bits(design, tmp_path):
     same(many.isel(point=slice(size)), few)
 
 
-LINK = {"experiment": "linksweep.core.experiment:link", "sampling": {"n_sim": 60, "n_cat": 3, "seed": 8}}
-
-
 def test_a_point_of_a_table_has_the_bits_of_the_same_point_in_a_grid(tmp_path):
     grid = run(LINK | {"axes": {"n_obj": [20, 40], "model": ["amex", "gaia"]}}, tmp_path / "g.zarr")
     rows = [(40, "gaia"), (20, "amex"), (40, "amex"), (40, "gaia")]
@@ -141,14 +141,8 @@ def test_the_command_line_runs_grows_fails_retries_and_reproduces_points(tmp_pat
     assert [row["y"] for row in told["rows"]] == [1.0, 0.75, 1.0, 14.0]
 
 
-# Labels of rows change no number, whatever joins the points.
-
-
 def noisy(x: float, k: int = 1, *, rng):
     return {"y": k * x + rng.normal()}
-
-
-STARS = {"x": [1.0, 2.0, 2.0], "star": ["Sirius", None, "Vega"], "hd": [48915, 2**62, 172167]}
 
 
 @pytest.mark.parametrize("form", ["mapping", "frame", "index", "levels", "table", "file"])
@@ -200,10 +194,6 @@ def test_what_is_no_label_is_refused_by_name(tmp_path):
     ):
         with pytest.raises(SweepError, match=words):
             run(noisy, tmp_path / "s.zarr", rows, labels)
-
-
-CELLS = st.one_of(st.none(), st.text("ab", max_size=2), st.integers(0, 3), st.floats(0, 2))
-TABLES = st.lists(st.tuples(st.sampled_from([1.0, 2.0, 3.0]), CELLS), min_size=1, max_size=5)
 
 
 @settings(max_examples=max(2, examples(12) // 3))

@@ -12,9 +12,16 @@ from benchmarks.measured import watch
 from tests.conftest import COINS
 from tests.sweep.opening import measure_scaling, study_from_dict
 
+WRONG = {"--workers 2,4": "must increase from 1", "--workers 1,2,2": "must increase from 1", "--workers 1,5000": "4096"}
+WRONG |= {"--workers 1,two": "no list of numbers", "--workers -1": "no list of numbers", "--set n_sim=none": "n_sim"}
+WRONG |= {
+    "--set precision=0.1": "decides itself",
+    "--repetitions 0": "repetitions",
+    "--figure s.txt": "the name must end",
+}
+
 
 def test_speed_up_and_efficiency_are_those_of_the_seconds(coins, monkeypatch):
-    """Of runs whose seconds are known: the realisations over the workers, and 10 s a start."""
     asked = []
 
     def timed(study, workers, pool):
@@ -41,8 +48,7 @@ def test_the_command_leaves_the_measurements_and_nothing_else(tmp_path, sweep, m
     (tmp_path / "scratch").mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "scratch"))
     arguments = ["quasars", "--axis", "v_max=14", "--set", "n_cat=2", "--set", "n_sim=10", "--repetitions", "1"]
-    status, out, err = sweep("scaling", *arguments, "--pool", "threads", "--figure", "s.png", "--json", cwd=tmp_path)
-    assert status == 0, err
+    out = sweep("scaling", *arguments, "--pool", "threads", "--figure", "s.png", "--json", cwd=tmp_path, code=0)[1]
     pairs = [(row["kind"], row["workers"]) for row in json.loads(out)["rows"]]
     assert pairs == [(kind, workers) for kind in ("strong", "weak") for workers in (1, 2)]
     found = xr.open_zarr(tmp_path / "results" / "quasars-scaling.zarr", consolidated=False).load()
@@ -53,26 +59,12 @@ def test_the_command_leaves_the_measurements_and_nothing_else(tmp_path, sweep, m
     assert (tmp_path / "s.png").stat().st_size > 10_000
     assert sorted(p.name for p in tmp_path.iterdir()) == ["results", "s.png", "scratch"]
     assert not list((tmp_path / "scratch").glob("linksweep*"))
-    status, _, err = sweep("scaling", *arguments, cwd=tmp_path)
-    assert (status, "exists already" in err) == (2, True)
+    assert "exists already" in sweep("scaling", *arguments, cwd=tmp_path, code=2)[2]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--workers", "2,4"], "must increase from 1"),
-        (["--workers", "1,2,2"], "must increase from 1"),
-        (["--workers", "1,5000"], "4096"),
-        (["--workers", "1,two"], "no list of numbers"),
-        (["--workers", "-1"], "no list of numbers"),
-        (["--repetitions", "0"], "repetitions"),
-        (["--set", "precision=0.1"], "decides itself"),
-        (["--set", "n_sim=none"], "n_sim"),
-        (["--figure", "scaling.txt"], "the name must end"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "words"), WRONG.items())
 def test_bad_input_is_refused_and_writes_nothing(arguments, words, tmp_path, sweep_here):
-    status, _, err = sweep_here("scaling", "sqrt-n", *arguments, cwd=tmp_path)
+    status, _, err = sweep_here("scaling", "sqrt-n", *arguments.split(), cwd=tmp_path)
     assert (status, words in err, list(tmp_path.iterdir())) == (2, True, []), err
 
 

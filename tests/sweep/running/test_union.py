@@ -1,6 +1,4 @@
-"""A store keeps and shows every point that it holds, with results of any type: random commands, kills, merges and edits
-of code against a dictionary.
-"""
+"""A store shows every point that it holds: random commands, kills, merges and edits of code against a dictionary."""
 
 import itertools
 import math
@@ -19,10 +17,8 @@ from tests.tiers import examples, slow
 CODE = """
 import numpy as np
 from linksweep import Output, experiment
-
 OUTPUTS = [Output(name, dims="step") for name in ("words", "counts", "times")]
 OUTPUTS += [Output("path", dims="step", ragged=True), Output("table", dims=("k", "step")), Output("number", nan=True)]
-
 @experiment(outputs=OUTPUTS)
 def plain(x: float, y: int = 2, name: str = "a"):
     steps, when = int(2.0 * x) - 1, np.datetime64("2020-01-01T00:00:00.000000001") + y
@@ -40,14 +36,15 @@ def plain(x: float, y: int = 2, name: str = "a"):
         "table": np.outer([1.0, y], np.arange(steps)),
         "image": np.random.default_rng([y, steps]).normal(size=(5, 16)),
     }
-
-
 @experiment(shared="x")
 def noisy(x: float, y: int = 2, name: str = "a", *, rng, n_sim):
     return {"value": np.full(n_sim, VERSION * 1000.0 + 10.0 * x + y + ord(name)), "random": rng.random(n_sim)}
 """
 X, Y, NAMES = (0.5, 1.0, 2.0, 4.0), (2, 3, 5), ("a", "b")
 DEFAULTS = {"y": 2, "name": "a"}
+CHOSEN = [(["b", "c", None], "k != 'b'", ["c", None]), (["b", "c", None], "k == 'None'", [None])]
+CHOSEN += [([1, "b"], "k == '1'", [1]), ([1, 2, None], "not (k <= 1)", [2, None])]
+TABLES = [{"x": [1, 2], "y": [1, 3]}, {"d": [1, 1, 0]}, {"x": [4, 4]}, {"d": [0, 0]}]
 
 
 class Sweeps:
@@ -91,10 +88,10 @@ class Sweeps:
 
     def is_refused(self, constants, axes, keep, again):
         """Whether constants differ, or points of other code would be left beside those of today's."""
-        if self.axes is None:
-            return False
-        differ = any(constants[n] != self.fixed[n] for n in DEFAULTS.keys() - self.axes - axes.keys())
-        return (differ and not keep) or any(v != self.version for p, v in self.ledger.items() if p not in again)
+        names = DEFAULTS.keys() - (self.axes or DEFAULTS.keys()) - axes.keys()
+        differ = any(constants[n] != self.fixed[n] for n in names) and not keep
+        others = any(v != self.version for p, v in self.ledger.items() if p not in again)
+        return self.axes is not None and (differ or others)
 
     def do(self, asked, kill, only, keep, redo, parts):
         constants = {**DEFAULTS, **asked["fixed"]}
@@ -180,11 +177,8 @@ def as_lists(results):
 def found_in(dataset, constants):
     """Return the results of the points of a dataset that are done, by their parameters."""
     found, dims = {}, dataset.status.dims
-    along = {
-        name: (dims.index(one.dims[0]), one.values.tolist())
-        for name, one in dataset.coords.items()
-        if one.dims[0] in dims
-    }
+    coords = {name: one for name, one in dataset.coords.items() if one.dims[0] in dims}
+    along = {name: (dims.index(one.dims[0]), one.values.tolist()) for name, one in coords.items()}
     left_out = ("status", "code", "wall_time", "n_sim_done", "value_samples")
     arrays = {n: one.transpose(*dims, ...).values for n, one in dataset.data_vars.items() if n not in left_out}
     for place in zip(*np.nonzero(dataset.status.values == 1), strict=True):
@@ -199,63 +193,39 @@ def some(values):
     return st.lists(st.sampled_from(values), min_size=1, max_size=3, unique=True)
 
 
-COMMANDS = st.fixed_dictionaries(
-    {
-        "x": some(X),
-        "y": st.one_of(st.none(), st.sampled_from(Y), some(Y)),
-        "name": st.one_of(st.none(), st.none(), st.sampled_from(NAMES), some(NAMES)),
-        "edit": st.sampled_from([False, False, False, True]),
-        "kill": st.sampled_from([10**9, *range(60)]),
-        "only": st.sampled_from([False, False, False, True]),
-        "keep": st.booleans(),
-        "redo": st.sampled_from(["", "", "old", "x > 1 and y != 3"]),
-        "parts": st.sampled_from([0, 0, 0, 1, 2]),
-    }
-)
+DRAWN = {"kill": [10**9, *range(60)], "keep": [False, True], "redo": ["", "", "old", "x > 1 and y != 3"]}
+DRAWN |= {"edit": [False, False, False, True], "only": [False, False, False, True], "parts": [0, 0, 0, 1, 2]}
+SIDES = {"x": some(X), "y": st.one_of(st.none(), st.sampled_from(Y), some(Y))}
+SIDES |= {"name": st.one_of(st.none(), st.none(), st.sampled_from(NAMES), some(NAMES))}
+COMMANDS = st.fixed_dictionaries(SIDES | {name: st.sampled_from(values) for name, values in DRAWN.items()})
+UNCHECKED = {"suppress_health_check": list(HealthCheck)}
 
 
 @pytest.mark.parametrize("kind", ["plain", slow("noisy")])
 @given(commands=st.lists(COMMANDS, min_size=3, max_size=7))
-@settings(
-    max_examples=examples(20) if examples(20) == 20 else 2,
-    phases=[Phase.generate],
-    derandomize=True,
-    suppress_health_check=list(HealthCheck),
-)
+@settings(max_examples=20 if examples(20) == 20 else 2, phases=[Phase.generate], derandomize=True, **UNCHECKED)
 def test_a_store_shows_every_point_that_it_holds(tmp_path_factory, kind, commands):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("linksweep.sweep.contract.rows.MOST_VALUES", 64)
         sweeps = Sweeps(tmp_path_factory.mktemp("union"), patch, kind)
         for command in commands:
-            sides = {name: command[name] for name in ("x", "y", "name")}
             if command["edit"]:
                 sweeps.edit(sweeps.version + 1)
-            asked = {
-                "axes": {name: side for name, side in sides.items() if isinstance(side, list)},
-                "fixed": {name: side for name, side in sides.items() if isinstance(side, int | str)},
-            }
+            asked = {"axes": {name: command[name] for name in SIDES if isinstance(command[name], list)}}
+            asked["fixed"] = {name: command[name] for name in SIDES if isinstance(command[name], int | str)}
             sweeps.do(asked, **{key: command[key] for key in ("kill", "only", "keep", "redo", "parts")})
 
 
-def test_a_condition_that_is_none_is_refused_and_never_run(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    study = {"axes": {"x": [1.0, 2.0]}, "store": tmp_path / "s.zarr", "pool": "serial"}
+def test_a_condition_that_is_none_is_refused_and_never_run(here):
+    study = {"axes": {"x": [1.0, 2.0]}, "store": here / "s.zarr", "pool": "serial"}
     linksweep.run(lambda x: 2.0 * x, **study)
     for condition, words in (("y > 2", "no column 'y'"), ("__import__('os').mkdir('there') or x > 1", "not allowed")):
         with pytest.raises(SweepError, match=words):
             linksweep.run(lambda x: 2.0 * x, **study, redo=condition)
-    assert not (tmp_path / "there").exists()
+    assert not (here / "there").exists()
 
 
-@pytest.mark.parametrize(
-    ("axis", "condition", "chosen"),
-    [
-        (["b", "c", None], "k != 'b'", ["c", None]),
-        (["b", "c", None], "k == 'None'", [None]),
-        ([1, "b"], "k == '1'", [1]),
-        ([1, 2, None], "not (k <= 1)", [2, None]),
-    ],
-)
+@pytest.mark.parametrize(("axis", "condition", "chosen"), CHOSEN)
 def test_a_condition_has_the_values_that_the_dataset_shows(tmp_path, axis, condition, chosen):
     calls = []
 
@@ -289,13 +259,11 @@ def test_points_that_are_computed_again_say_so_until_they_are_and_each_is_once(t
 
 
 @pytest.mark.parametrize("first", ["x,y\n1,2\n", "y,x\n2,1\n"])
-def test_columns_of_a_table_may_come_in_another_order(tmp_path, sweep, monkeypatch, first):
-    monkeypatch.chdir(tmp_path)
+def test_columns_of_a_table_may_come_in_another_order(here, sweep, first):
     Path("m.py").write_text("def f(x: float, y: float = 1.0):\n    return 10 * x + y\n")
     for rows in (first, "y,x\n2,1\n3,1\n", "y,x\n2,1\n3,1\n"):
         Path("p.csv").write_text(rows)
-        code, _, err = sweep("run", "m.py:f", "--points", "p.csv", "-o", "s.zarr")
-        assert code == 0, err
+        sweep("run", "m.py:f", "--points", "p.csv", "-o", "s.zarr", code=0)
     assert linksweep.open("s.zarr").f.values.tolist() == [12.0, 13.0]
 
 
@@ -313,9 +281,6 @@ def test_zipped_axes_with_a_value_that_repeats_become_a_table(tmp_path, y):
     assert linksweep.open(tmp_path / "s.zarr").f.values.tolist() == [15.0, 26.0, 10.0 + y[0], 30.0 + y[1]]
 
 
-TABLES = [{"x": [1, 2], "y": [1, 3]}, {"d": [1, 1, 0]}, {"x": [4, 4]}, {"d": [0, 0]}]
-
-
 @pytest.mark.parametrize("order", [(0, 1, 2), (1, 0, 3), (2, 1, 0), (3, 2, 1)])
 def test_merged_tables_with_values_that_repeat_keep_each_point_and_merge_again(tmp_path, order):
     (tmp_path / "m.py").write_text("def f(x: int = 0, y: int = 2, d: int = 7):\n    return 100 * x + 10 * y + d\n")
@@ -330,8 +295,7 @@ def test_merged_tables_with_values_that_repeat_keep_each_point_and_merge_again(t
 
 
 @pytest.mark.parametrize("order", [["a", "b"], ["b", "a"]])
-def test_stores_of_which_one_has_a_parameter_more_are_merged_whole(tmp_path, sweep, monkeypatch, order):
-    monkeypatch.chdir(tmp_path)
+def test_stores_of_which_one_has_a_parameter_more_are_merged_whole(here, sweep, order):
     for more, name in (("", "a"), (", t: int = 5", "b")):
         Path("m.py").write_text(f"def f(x: float{more}):\n    return x\n")
         assert sweep("run", "m.py:f", "--axis", "x=1,2", *(["--set", "t=1"] if more else []), "-o", name)[0] == 0
@@ -340,8 +304,7 @@ def test_stores_of_which_one_has_a_parameter_more_are_merged_whole(tmp_path, swe
     assert sorted(zip(table.x, table.t, strict=True)) == [(1, 1), (1, 5), (2, 1), (2, 5)]
     Path("m.py").write_text("def f(x: float, u: int = 5):\n    return x\n")
     assert sweep("run", "m.py:f", "--axis", "x=1", "-o", "d")[0] == 0
-    code, _, err = sweep("merge", "b", "d", "-o", "e", "--accept-code")
-    assert (code, "is no parameter" in err) == (2, True)
+    assert "is no parameter" in sweep("merge", "b", "d", "-o", "e", "--accept-code", code=2)[2]
 
 
 def test_a_table_with_a_column_that_is_no_parameter_any_more_is_refused(tmp_path):

@@ -14,6 +14,8 @@ from linksweep.sweep.search.options import SearchOptions
 from linksweep.sweep.search.search import GalaxyCatalogue, Positions, cross_match, pairs_within, sky_tree
 from tests.tiers import examples
 
+grid_sky = st.lists(st.tuples(st.integers(0, 12), st.integers(0, 3), st.integers(0, 4)), min_size=1, max_size=12)
+
 
 def positions(ra_deg, dec_deg, error_arcsec=1.0):
     ra, dec = np.asarray(ra_deg, dtype=float) * DEGREE, np.asarray(dec_deg, dtype=float) * DEGREE
@@ -71,12 +73,10 @@ def test_positions_at_another_epoch_are_those_of_astropy():
     pmra, pmdec = rng.normal(0, 300, (2, n))
     pmra[0], pmdec[0] = 801.551, 10362.394  # Barnard's star
     here = crossmatch.at_epoch(where, pmra * MAS, pmdec * MAS, np.full(n, 3.0 * MAS), 0 * pmra, np.full(n, 8.75))
-    coords = SkyCoord(
-        *(where.ra * u.rad, where.dec * u.rad, np.full(n, 0.1) * u.pc),  # so near that light time changes nothing
-        **{"pm_ra_cosdec": pmra * u.mas / u.yr, "pm_dec": pmdec * u.mas / u.yr},
-        radial_velocity=np.zeros(n) * u.km / u.s,
-        obstime=Time(1991.25, format="jyear", scale="tdb"),
-    )
+    there = where.ra * u.rad, where.dec * u.rad, np.full(n, 0.1) * u.pc  # so near that light time changes nothing
+    motions = {"pm_ra_cosdec": pmra * u.mas / u.yr, "pm_dec": pmdec * u.mas / u.yr}
+    motions["radial_velocity"] = np.zeros(n) * u.km / u.s
+    coords = SkyCoord(*there, **motions, obstime=Time(1991.25, format="jyear", scale="tdb"))
     moved = coords.apply_space_motion(Time(2000.0, format="jyear", scale="tdb"))
     assert coordinates(here).separation(moved).uas.max() < 1.0
     np.testing.assert_allclose(here.ra_error / MAS, np.hypot(100.0, 3.0 * 8.75))
@@ -92,9 +92,6 @@ def test_one_to_one_is_the_greedy_loop(pairs):
             kept.append(row)
     table = pd.DataFrame(pairs, columns=["a", "b"], dtype=np.int64)
     assert crossmatch.one_to_one(table, "a", "b").index.tolist() == kept
-
-
-grid_sky = st.lists(st.tuples(st.integers(0, 12), st.integers(0, 3), st.integers(0, 4)), min_size=1, max_size=12)
 
 
 def on_grid(points, radius=0.0):
@@ -119,11 +116,8 @@ def matched(stars, catalogues):
 @given(grid_sky, grid_sky, grid_sky, st.randoms(use_true_random=False))
 def test_nothing_is_matched_twice_and_the_order_of_rows_does_not_matter(a, b, c, random):
     tables = list({point[:2]: point for point in a}.values()), b, c
-    others = [random.sample(table, len(table)) for table in tables]
-    found, again = (
-        matched(on_grid(stars).positions, [on_grid(one, 2.5), on_grid(other, 1.2)])
-        for stars, one, other in (tables, others)
-    )
+    both = tables, [random.sample(table, len(table)) for table in tables]
+    found, again = (matched(on_grid(s).positions, [on_grid(one, 2.5), on_grid(other, 1.2)]) for s, one, other in both)
     assert found == again
 
 
@@ -148,7 +142,7 @@ def test_entries_of_several_catalogues_are_one_galaxy(catalogues, merge, labels,
 
 
 def test_each_rule_of_the_classes_in_a_search():
-    """Five stars far apart: alone, with three others within 120", 4 sigma off, with a second star, supplement."""
+    """Five stars: alone, with three others within 120", 4 sigma off, with a second star, supplement."""
     ra = np.array([10.0, 50.0, 90.0, 130.0, 170.0])
     crowd = positions(np.array([50.0, 50.0, 50.0]), np.array([60.0, 90.0, -110.0]) / 3600.0, 0.1)
     second = positions([130.0], [4.0 / 3600.0], 0.1)
@@ -182,7 +176,6 @@ def test_three_sigma_is_exceeded_as_often_as_normal_errors_do():
 
 
 def test_local_chance_pairs_follow_the_crowding():
-    """Stars and galaxies both in one tenth of the sky: ten times the uniform expectation."""
     rng = np.random.default_rng(7)
 
     def strip(n):

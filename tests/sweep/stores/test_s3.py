@@ -2,7 +2,6 @@
 
 import random
 import socket
-import sys
 import threading
 from http.client import HTTPConnection
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -19,6 +18,13 @@ from tests.sweep import opening
 from tests.sweep.conftest import make_bucket
 from tests.sweep.opening import OFTEN, existing_store, located, run, same
 from tests.tiers import slow
+
+WRONG = {  # what is said of which bucket and variables of the environment
+    "http://127.0.0.1:9 does not answer as it should": {"AWS_ENDPOINT_URL": "http://127.0.0.1:9"},
+    "there are no credentials; set AWS_ACCESS_KEY_ID": {"AWS_ACCESS_KEY_ID": None, "AWS_SECRET_ACCESS_KEY": None},
+    "not encrypted; AWS_ALLOW_HTTP=true": {"AWS_ENDPOINT_URL": "http://192.0.2.1"},
+    "there is no bucket 'there-is-none'": {"bucket": "s3://there-is-none"},
+}
 
 
 class Passing(BaseHTTPRequestHandler):
@@ -61,11 +67,7 @@ class Passing(BaseHTTPRequestHandler):
 
 @pytest.fixture
 def through(s3_endpoint, bucket, monkeypatch):
-    """A function that puts a proxy before the server of the bucket.
-
-    ``fault`` is called with the number of a request and returns None, "reset" (the connection breaks before the server
-    hears of it), "lost" (the server does it, but its answer never comes) or "503".
-    """
+    """A function that puts a proxy before the server: ``fault`` of a request's number is None, a reset, lost or 503."""
     proxies = []
 
     def make(fault=lambda number: None):
@@ -139,29 +141,12 @@ def test_a_connection_that_breaks_for_good_keeps_what_was_finished(bucket, coins
     same(run(coins, f"{bucket}/s.zarr", break_lock=True), wanted)
 
 
-NO_KEY = {"AWS_ACCESS_KEY_ID": None, "AWS_SECRET_ACCESS_KEY": None}
-
-
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        slow({"AWS_ENDPOINT_URL": "http://127.0.0.1:9"}, "http://127.0.0.1:9 does not answer as it should"),
-        ({"AWS_ENDPOINT_URL": "http://192.0.2.1"}, "not encrypted; AWS_ALLOW_HTTP=true"),
-        ({"bucket": "s3://there-is-none"}, "there is no bucket 'there-is-none'"),
-        slow(NO_KEY, "there are no credentials; set AWS_ACCESS_KEY_ID"),
-        ({"bucket": "s3://ab"}, "its address must be s3://BUCKET/NAME"),
-    ],
-)
-def test_what_does_not_work_is_said_in_a_sentence(bucket, link_study, sweep, monkeypatch, change, words):
+@pytest.mark.parametrize("words", [*map(slow, [*WRONG][:2]), *[*WRONG][2:]])
+def test_what_does_not_work_is_said_in_a_sentence(bucket, link_study, sweep, monkeypatch, words):
+    change = WRONG[words]
     store = change.get("bucket", bucket) + "/s.zarr"
     monkeypatch.setenv("AWS_METADATA_ENDPOINT", "http://127.0.0.1:9")  # no credentials from this machine either
     for name, value in (pair for pair in change.items() if pair[0] != "bucket"):
         monkeypatch.delenv(name) if value is None else monkeypatch.setenv(name, value)
     code, out, err = sweep("run", link_study, "-o", store)
     assert (code, out, words in err, err[:7], err.count("\n")) == (2, "", True, "error: ", 1), err
-
-
-def test_obstore_is_an_extra(monkeypatch):
-    monkeypatch.setitem(sys.modules, "obstore", None)
-    with pytest.raises(SweepError, match=r"pip install 'linksweep\[s3\]'"):
-        located("s3://abc/x")

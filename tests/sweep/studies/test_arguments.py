@@ -20,6 +20,18 @@ from tests.sweep.mutations import corpus
 from tests.sweep.opening import make_grid
 from tests.tiers import slow
 
+large = st.integers(-(2**62), 2**62)
+MEETS = {"=": operator.eq, "<": operator.lt, ">": operator.gt}
+bounds = st.lists(st.tuples(st.sampled_from("an"), st.sampled_from("<>"), st.integers(0, 4)), max_size=3)
+LINK = "linksweep.core.experiment:link"
+FIXED = {"catalogue": "quasar", "omega": [1.0, 2.0], "error_scale": -1.0, "corrections": "yes", "n_obj": 2.5}
+AXES = [{"v_mx": [14.0]}, {"v_max": []}, {"v_max": {"start": 1.0, "stop": 2.0}}]
+DESIGNS = [("sobl", [14, 15]), ("sobol", [14])]
+WRONG = [*({"fixed": {name: value}} for name, value in FIXED.items()), *({"axes": axes} for axes in AXES)]
+WRONG += [{"axes": {"model": {"start": 1.0, "stop": 2.0, "step": 1.0}}}, {"titel": "x"}, {"exclude": [{"v_mx": 14.0}]}]
+WRONG += [{"sampling": {"n_sims": 5}}, {"sampling": {"n_sim": 0}}, {"define": {"catalogue": {"mine": {}}}}]
+WRONG += [{"points": {"design": name, "n": 4, "ranges": {"v_max": low_high}}} for name, low_high in DESIGNS]
+
 
 def load_law(**options):
     return load_study(f"{user.__file__}:law", **options)
@@ -45,9 +57,6 @@ def test_any_text_is_an_axis_or_a_clear_error(text):
 
 def axis(text):
     return list(load_law(axes=[text]).axes[text.partition("=")[0]])
-
-
-large = st.integers(-(2**62), 2**62)
 
 
 @given(large, st.integers(1, 10**6), st.integers(0, 30), st.integers(0, 10), st.sampled_from([1, -1]))
@@ -84,23 +93,17 @@ def test_a_step_is_not_rounded_away():
     assert axis("a=0:1:lin4")[1] == 0.333333333333  # stored: it must never change
 
 
-MEETS = {"=": operator.eq, "<": operator.lt, ">": operator.gt}
-bounds = st.lists(st.tuples(st.sampled_from("an"), st.sampled_from("<>"), st.integers(0, 4)), max_size=3)
-
-
 @given(st.lists(st.tuples(bounds, st.integers(0, 4)), min_size=1, max_size=2))
 def test_a_point_is_left_out_where_all_conditions_of_an_option_are_met(options):
-    """``n`` has bounds, or one value."""
-    options = [
-        {(name, sign): number for name, sign, number in some if name == "a" or value in (0, 4)}
-        | ({} if value in (0, 4) and some else {("n", "="): value})
-        for some, value in options
-    ]
-    kept = {
-        (a, n)
-        for a, n in product((1, 2, 3), repeat=2)
-        if not any(all(MEETS[s]({"a": a, "n": n}[name], x) for (name, s), x in one.items()) for one in options)
-    }
+    drawn, options = options, []
+    for some, value in drawn:
+        options.append({(name, sign): number for name, sign, number in some if name == "a" or value in (0, 4)})
+        options[-1] |= {} if value in (0, 4) and some else {("n", "="): value}
+
+    def meets(a, n, one):
+        return all(MEETS[sign]({"a": a, "n": n}[name], number) for (name, sign), number in one.items())
+
+    kept = {(a, n) for a, n in product((1, 2, 3), repeat=2) if not any(meets(a, n, one) for one in options)}
     written = [",".join(f"{name}{sign}{number}" for (name, sign), number in one.items()) for one in options]
     study = load_law(axes=["a=1,2,3", "n=1,2,3"], exclude=written)
     with contextlib.nullcontext() if kept else pytest.raises(SweepError, match="every point"):
@@ -111,9 +114,6 @@ def test_objects_without_order_or_that_give_their_values_once_are_refused(tmp_pa
     for values in ({1, 2}, map(float, (1, 2)), 3.0, {"start": 1}):
         with pytest.raises(SweepError, match=r"axes\.e: .*write a list"):
             run(user.law, tmp_path / "s.zarr", axes={"e": values})
-
-
-LINK = "linksweep.core.experiment:link"
 
 
 def validator(reference=LINK, cwd=None):
@@ -162,28 +162,7 @@ def test_every_study_of_ours_conforms_to_the_schema_which_has_the_parameters_of_
     assert run_sweep("params", "--schema", "no.such:thing")[:2] == (2, "")
 
 
-@pytest.mark.parametrize(
-    "wrong",
-    [
-        {"axes": {"v_mx": [14.0]}},
-        {"axes": {"v_max": []}},
-        {"axes": {"v_max": {"start": 1.0, "stop": 2.0}}},
-        {"axes": {"model": {"start": 1.0, "stop": 2.0, "step": 1.0}}},
-        {"fixed": {"catalogue": "quasar"}},
-        {"fixed": {"omega": [1.0, 2.0]}},
-        {"fixed": {"error_scale": -1.0}},
-        {"fixed": {"corrections": "yes"}},
-        {"fixed": {"n_obj": 2.5}},
-        {"sampling": {"n_sims": 5}},
-        {"sampling": {"n_sim": 0}},
-        {"define": {"catalogue": {"mine": {}}}},
-        {"exclude": [{"v_mx": 14.0}]},
-        {"points": {"design": "sobl", "n": 4, "ranges": {"v_max": [14, 15]}}},
-        {"points": {"design": "sobol", "n": 4, "ranges": {"v_max": [14]}}},
-        {"titel": "x"},
-    ],
-    ids=json.dumps,
-)
+@pytest.mark.parametrize("wrong", WRONG, ids=json.dumps)
 def test_the_schema_refuses_what_a_run_refuses(wrong, link_validator, tmp_path):
     document = {"title": "t"} | wrong
     assert not link_validator.is_valid(document)

@@ -26,21 +26,19 @@ def test_integers_that_cannot_be_printed(number, place, tmp_path):
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
+def folder(here):
     """A directory with what the studies need beside them."""
-    monkeypatch.chdir(tmp_path)
-    shutil.copytree(ROOT / "sweeps" / "published", tmp_path / "published")
-    save_files("experiments.md", tmp_path)
-    return tmp_path
+    shutil.copytree(ROOT / "sweeps" / "published", here / "published")
+    save_files("experiments.md", here)
+    return here
 
 
 def check_answer(result, what):
     assert result.exception is None or isinstance(result.exception, SystemExit), (what, result.exception)
     assert result.exit_code in (0, 2), what
-    if result.exit_code == 2:
-        assert result.stderr.startswith("error: study.toml: "), (what, result.stderr)
-        assert len(result.stderr) < 20_000, what
-        assert all(c.isprintable() for line in result.stderr.splitlines() for c in line), (what, result.stderr)
+    said = result.stderr if result.exit_code == 2 else "error: study.toml: "
+    assert (said.startswith("error: study.toml: "), len(said) < 20_000) == (True, True), (what, said)
+    assert all(line.isprintable() for line in said.splitlines()), (what, said)
 
 
 @pytest.mark.parametrize("count", [60, slow(2000)])

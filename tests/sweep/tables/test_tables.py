@@ -45,6 +45,31 @@ HIP2_ROWS = """\
      1   5 0 1  0.0000159148  0.0190068680    4.55    -4.55    -1.29
      2   5 0 1  0.0000662654 -0.3403239102   20.85   179.70     1.40
 """
+UNITS = {"h": 15.0, "hourangle": 15.0, "min": 0.25, "s": 1 / 240, "rad": 180 / np.pi}
+MAY_BE_HOURS = {"ra_h": [0.5, 23.9], "ra": [0.0, 24.0], "alpha": [0.1, 6.2], "ra_s": [100.0, 300.0]}
+NO_ANGLES = ("24 00 00", "12 60 00", "12 34 61", "12", "twelve", "12 34 56 78", "1-2-3")
+NO_ANGLE, NO_UNIT = "column 'x' is text that is no angle .* in row 2 ", 'has no unit and .* units = { ra = "deg" }'
+AT_60 = {"dec": [60.0]}  # where a column that lacks the factor cos(dec) gets it
+UNREAD = [*(("ra", ["12 34 56", text], {"name": "x"}, rf"{NO_ANGLE}\('{text}'\)") for text in NO_ANGLES)]
+UNREAD += [("dec", ["12h30m00s"], {}, "in row 1"), ("pmra", ["1.5"], {}, "'pmra' does not hold numbers")]
+UNREAD += [*(("ra", values, {}, "'ra' does not hold numbers") for values in ([[1.0, 2.0]], [1j]))]
+UNREAD += [("dec_error", ["a"], {}, "'dec_error' does not hold numbers")]
+UNREAD += [*(("ra", values, {"name": name}, f"column '{name}' {NO_UNIT}") for name, values in MAY_BE_HOURS.items())]
+UNREAD += [("dec_error", [1e-6], {"unit": "s"}, "column 'dec_error' is in s, not convertible to mas")]
+UNREAD += [
+    ("ra", [1.0], {"unit": "deg", "stated": "hourangle"}, "ra in hourangle, but column 'ra' is in deg as its file")
+]
+UNREAD += [("ra", [100.0], {"stated": "hurz"}, "units: ra in 'hurz', which is no unit")]
+UNCLEAR = [("ra", ["187d30m00s"], [187.5], {}), ("ra", [1.0, 6.2], np.degrees([1.0, 6.2]), {"name": "RArad"})]
+UNCLEAR += [*(("ra", [1.0, 2.0], [degrees, 2 * degrees], {"unit": unit}) for unit, degrees in UNITS.items())]
+UNCLEAR += [*(("ra", values, values, {"name": name, "unit": "deg"}) for name, values in MAY_BE_HOURS.items())]
+UNCLEAR += [*(("ra", values, values, {"name": name, "stated": "deg"}) for name, values in MAY_BE_HOURS.items())]
+UNCLEAR += [*(("ra", [1.0], [15.0], {"name": name, "stated": "hourangle"}) for name in MAY_BE_HOURS)]
+UNCLEAR += [*(("ra", [1.0, 24.1], [1.0, 24.1], {"name": name}) for name in ("ra", "ra_h", "RA_ICRS"))]
+UNCLEAR += [("dec", [1.0, -1.0], [1.0, -1.0], {}), ("dec", [1.0, -1.0], np.degrees([1.0, -1.0]), {"name": "DErad"})]
+UNCLEAR += [("dec", [1.0, -60.0], [1.0, -60.0], {"name": "dec_rad"})]
+UNCLEAR += [("ra_error", [1e-6], [0.75e-2], {"unit": "s", **AT_60})]
+UNCLEAR += [*((name, [1e-3], [7.5], {"unit": "s / yr", **AT_60}) for name in ("pmra", "reference_pmra_error"))]
 
 
 def written(folder: Path, name: str, content: str | bytes) -> Path:
@@ -101,12 +126,11 @@ def test_a_table_of_vizier(tmp_path):
 
 def test_hipparcos_2_with_its_readme(tmp_path):
     written(tmp_path, "ReadMe", HIP2)
+    dec = np.degrees([0.0190068680, -0.3403239102])
     for name, content in (("hip2.dat", HIP2_ROWS.encode()), ("hip2.dat.gz", gzip.compress(HIP2_ROWS.encode()))):
         table = read_table(written(tmp_path, name, content))
         assert (table["HIP"].tolist(), table["pmRA"].tolist()) == ([1, 2], [-4.55, 179.7])
-        np.testing.assert_allclose(
-            Columns(table).quantity("dec"), np.degrees([0.0190068680, -0.3403239102]), rtol=1e-14
-        )
+        np.testing.assert_allclose(Columns(table).quantity("dec"), dec, rtol=1e-14)
     with pytest.raises(SweepError, match="a table of CDS needs its ReadMe"):
         read_table(written(tmp_path, "tyc2.dat", HIP2_ROWS))
 
@@ -156,12 +180,10 @@ def test_gaps_are_kept_and_large_identifiers_beside_them(text, columns, tmp_path
 
 
 def test_parquet_with_gaps(tmp_path):
-    parquet.write_table(
-        pa.table({"id": [2**62 + 1, None], "ra": [None, 2.5], "name": ["a", None], "ok": [True, None]}),
-        tmp_path / "t.parquet",
-    )
+    columns = {"id": [2**62 + 1, None], "ra": [None, 2.5], "name": ["a", None], "ok": [True, None]}
+    parquet.write_table(pa.table(columns), tmp_path / "t.parquet")
     found = read_table(tmp_path / "t.parquet")
-    assert [found[n].tolist() for n in found.colnames] == [[2**62 + 1, None], [None, 2.5], ["a", None], [True, None]]
+    assert {name: found[name].tolist() for name in found.colnames} == columns
 
 
 def test_parquet_of_astropy_has_its_masks_and_times(tmp_path):
@@ -232,64 +254,21 @@ def read(quantity, values, unit=None, name=None, stated=None, **further):
     return found
 
 
-@pytest.mark.parametrize(
-    ("quantity", "unit", "texts"),
-    [
+def test_sexagesimal_angles():
+    for quantity, unit, texts in (
         ("ra", u.hourangle, ["12 34 56.7", "12:34:56.7", " 12h34m56.7s", "12 34.945", "00 00 00"]),
         ("dec", u.deg, ["-00 00 01.5", "-12:34:56.7", "+89d59m59.99s", "−1 2 3", "45 30"]),
-    ],
-)
-def test_sexagesimal_angles(quantity, unit, texts):
-    expected = [Angle(text.strip().replace("−", "-"), unit).deg for text in texts]
-    np.testing.assert_allclose(read(quantity, texts), expected, rtol=1e-14)
+    ):
+        expected = [Angle(text.strip().replace("−", "-"), unit).deg for text in texts]
+        np.testing.assert_allclose(read(quantity, texts), expected, rtol=1e-14)
 
 
-UNITS = {"h": 15.0, "hourangle": 15.0, "min": 0.25, "s": 1 / 240, "rad": 180 / np.pi}
-MAY_BE_HOURS = {"ra_h": [0.5, 23.9], "ra": [0.0, 24.0], "alpha": [0.1, 6.2], "ra_s": [100.0, 300.0]}
-AT_60 = {"dec": [60.0]}  # where a column that lacks the factor cos(dec) gets it
-
-
-@pytest.mark.parametrize(
-    ("quantity", "values", "expected", "how"),
-    [
-        ("ra", ["187d30m00s"], [187.5], {}),
-        *(("ra", [1.0, 2.0], [degrees, 2 * degrees], {"unit": unit}) for unit, degrees in UNITS.items()),
-        *(("ra", values, values, {"name": name, "unit": "deg"}) for name, values in MAY_BE_HOURS.items()),
-        *(("ra", values, values, {"name": name, "stated": "deg"}) for name, values in MAY_BE_HOURS.items()),
-        *(("ra", [1.0], [15.0], {"name": name, "stated": "hourangle"}) for name in MAY_BE_HOURS),
-        *(("ra", [1.0, 24.1], [1.0, 24.1], {"name": name}) for name in ("ra", "ra_h", "RA_ICRS")),  # cannot be hours
-        ("ra", [1.0, 6.2], np.degrees([1.0, 6.2]), {"name": "RArad"}),
-        ("dec", [1.0, -1.0], [1.0, -1.0], {}),
-        ("dec", [1.0, -1.0], np.degrees([1.0, -1.0]), {"name": "DErad"}),
-        ("dec", [1.0, -60.0], [1.0, -60.0], {"name": "dec_rad"}),
-        ("ra_error", [1e-6], [0.75e-2], {"unit": "s", **AT_60}),
-        *((name, [1e-3], [7.5], {"unit": "s / yr", **AT_60}) for name in ("pmra", "reference_pmra_error")),
-    ],
-)
+@pytest.mark.parametrize(("quantity", "values", "expected", "how"), UNCLEAR)
 def test_values_are_in_degrees_mas_and_mas_per_year(quantity, values, expected, how):
     np.testing.assert_allclose(read(quantity, values, **how), expected, rtol=1e-14)
 
 
-@pytest.mark.parametrize(
-    ("quantity", "values", "how", "words"),
-    [
-        *(
-            ("ra", ["12 34 56", text], {"name": "x"}, rf"column 'x' is text that is no angle .* in row 2 \('{text}'\)")
-            for text in ("24 00 00", "12 60 00", "12 34 61", "12", "twelve", "12 34 56 78", "1-2-3")
-        ),
-        ("dec", ["12h30m00s"], {}, "in row 1"),
-        *(("ra", values, {}, "'ra' does not hold numbers") for values in ([[1.0, 2.0]], [1j])),
-        ("pmra", ["1.5"], {}, "'pmra' does not hold numbers"),
-        ("dec_error", ["a"], {}, "'dec_error' does not hold numbers"),
-        *(
-            ("ra", values, {"name": name}, f"column '{name}' has no unit and .* units = {{ ra = \"deg\" }}")
-            for name, values in MAY_BE_HOURS.items()
-        ),
-        ("dec_error", [1e-6], {"unit": "s"}, "column 'dec_error' is in s, not convertible to mas"),
-        ("ra", [1.0], {"unit": "deg", "stated": "hourangle"}, "ra in hourangle, but column 'ra' is in deg as its file"),
-        ("ra", [100.0], {"stated": "hurz"}, "units: ra in 'hurz', which is no unit"),
-    ],
-)
+@pytest.mark.parametrize(("quantity", "values", "how", "words"), UNREAD)
 def test_columns_that_cannot_be_understood_are_named(quantity, values, how, words):
     with pytest.raises(SweepError, match=words):
         read(quantity, values, **how)

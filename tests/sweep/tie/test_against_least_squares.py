@@ -1,8 +1,4 @@
-"""Every number of a link against least squares with full matrices, written down here once more and without elimination.
-
-The tables are drawn: their sources have all five parameters, or no parallax and motion; their rows are five parameters,
-mean positions or motions, at various epochs and in any order.
-"""
+"""Every number of a link of drawn tables against least squares with full matrices, without elimination."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -21,17 +17,17 @@ from tests.core.tie.made import POSITION, gaia, noise, only, seen_by_satellite, 
 from tests.tiers import slow
 
 EPSILON, OMEGA = np.array([0.4, -0.3, 0.9]) * MAS, np.array([-0.2, 0.1, 0.3]) * MAS
-
-
 KINDS_OF_ROWS = [["five"], ["five", "position"], ["motion", "position"]]
 PRESENT = {"five": np.ones(5, dtype=bool), "position": POSITION, "motion": np.arange(5) > 2}
+KINDS = "formal,scaled,jackknife,sandwich,cells"
+SEEDS = [1, *map(slow, (2, 3))]
+CLIPPED = ("covariance", "huber:1.5"), ("variance", "huber:1.5"), ("covariance", "median:1.5")
 
 
 def drawn_tables(folder, seed, n=12, free=2, scale=1.0, far=(), coarse=(), calibrators=("",)):
     """Write a satellite's table and a reference's; return what least squares need of them.
 
-    The last ``free`` sources have neither parallax nor motion, but rows at three epochs.  Sources in ``far`` are off by
-    30 mas, and those in ``coarse`` by 15 mas, with errors as large.  Rows share the errors of their calibrators.
+    The last ``free`` sources have positions alone; those in ``far`` are off by 30 mas, those in ``coarse`` by 15 mas.
     """
     rng = np.random.default_rng(seed)
     epoch = 2016.0 + rng.uniform(-3.0, 3.0, n)
@@ -80,8 +76,7 @@ def motion(years):
 def pieces_of(tables, difference, epoch=2016.0):
     """Yield of each source, in mas: y, A and B of the model y = A x + B z + e, and the covariance D of e.
 
-    ``difference`` (R, 5) is y; x are orientation and spin, z the parameters that the satellite lacks.  With them come
-    M, the derivatives by the parameters of the source, and the number and parameter of each observation.
+    Here x are orientation and spin, z the parameters that the satellite lacks; M are derivatives by all of the source.
     """
     own, rows = tables.own, tables.rows
     covariance = np.zeros((len(own), 9, 9))
@@ -94,21 +89,13 @@ def pieces_of(tables, difference, epoch=2016.0):
         m = np.concatenate([motion(rows.epoch[k] - own.epoch[s])[at] for k, at in seen])
         b = m[:, np.flatnonzero(np.isnan(own.errors[:, s]))]
         v = block_diag(*(rows.covariance()[k][np.ix_(at, at)] / MAS**2 for k, at in seen))
-        yield SimpleNamespace(
-            y=np.concatenate([difference[k, at] for k, at in seen]),
-            a=m @ design,
-            b=b[:, np.any(b != 0.0, axis=0)],  # no row depends on its parallax
-            m=m,
-            d=v + m @ covariance[s] @ m.T,
-            observed=[(k, parameter) for k, at in seen for parameter in at],
-        )
+        y, b = np.concatenate([difference[k, at] for k, at in seen]), b[:, np.any(b != 0.0, axis=0)]  # not by parallax
+        observed = [(k, parameter) for k, at in seen for parameter in at]
+        yield SimpleNamespace(y=y, a=m @ design, b=b, m=m, d=v + m @ covariance[s] @ m.T, observed=observed)
 
 
 def least_squares(tables, difference, weights, factor, resamples=2):
-    """Everything of a solution for orientation and spin, from full matrices.
-
-    G are the weights, those of each source times its ``factor``.
-    """
+    """Everything of a solution for orientation and spin from full matrices, weights of sources times their factors."""
     pieces, n, rng = list(pieces_of(tables, difference)), len(tables.own), np.random.default_rng(1)
     plain = []
     for one in pieces:
@@ -193,16 +180,8 @@ def compare(link, tables, weights, sign=1.0):
         np.testing.assert_allclose(got, expected, rtol=rtol, atol=atol)
 
 
-KINDS = "formal,scaled,jackknife,sandwich,cells"
-SEEDS = [1, *map(slow, (2, 3))]
-
-
 @pytest.mark.parametrize(
-    ("weights", "clip"),
-    [
-        *(("covariance", "none"), ("variance", "none"), ("equal", "none")),
-        *(("covariance", "huber:1.5"), ("variance", "huber:1.5"), ("covariance", "median:1.5")),
-    ],
+    ("weights", "clip"), [*CLIPPED, ("covariance", "none"), ("variance", "none"), ("equal", "none")]
 )
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_solution_is_that_of_full_matrices(tmp_path, seed, weights, clip):
@@ -233,10 +212,8 @@ def test_what_a_clip_drops_has_no_part_in_the_rest(tmp_path, seed):
         np.testing.assert_array_equal(turned_round[name], -link[name], err_msg=name)
     chosen = int(link.step_chosen)
     assert set(link.step_dropped.values[1 : chosen + 1]) == set(link.source.values[dropped])
-    # Each step is the solution without those that were dropped so far, the worst of those that were left, and the
-    # choice is the first step at which the worst is not significant among so many.
-    factor = np.ones(12)
-    significant = []
+    # without those dropped so far, up to the first step at which the worst is not significant among so many
+    factor, significant = np.ones(12), []
     for step in range(int(link.step_chosen) + 2):
         if step:
             factor[list(link.source.values).index(str(link.step_dropped.values[step]))] = 0.0
@@ -257,9 +234,8 @@ def test_what_a_clip_drops_has_no_part_in_the_rest(tmp_path, seed):
 def test_sources_that_say_nothing_change_nothing(tmp_path):
     """Without a motion and with one row at another epoch a source has no observation left: no error counts it."""
     tables = drawn_tables(tmp_path, 3)
-    silent = np.array([0, 1, 2, 3])
     own, rows = tables.own, tables.rows
-    more = only(own.taken(silent), POSITION)
+    more = only(own.taken(np.arange(4)), POSITION)
     later = replace(more, epoch=more.epoch + 5.0)
     together = {}
     for name, first, second in (("own", own, more), ("rows", rows, later)):

@@ -1,6 +1,7 @@
 """Tables carried into the other frame, against the simulation's exact step, ERFA, and derivatives by differences."""
 
 import re
+from contextlib import nullcontext
 from dataclasses import replace
 
 import erfa
@@ -13,21 +14,17 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 import linksweep
 from linksweep import SweepError
 from linksweep.sweep.tie.tables import read_table
-from tests.core.tie.made import (
-    DEGREE,
-    EPSILON,
-    MAS,
-    NAMES,
-    OMEGA,
-    gaia,
-    gaia_table,
-    main,
-    noise,
-    seen_by_satellite,
-    stars,
-)
+from tests.core.tie.made import DEGREE, MAS, NAMES, gaia, gaia_table, main, noise, seen_by_satellite, stars
 from tests.sweep.tie.test_accelerations import drawn, satellite_table
 from tests.tiers import slow
+
+EPSILON, OMEGA = np.array([0.4, -0.3, 0.9]) * MAS, np.array([0.02, -0.1, 0.06]) * MAS
+SIGNS = st.sampled_from(["reference-satellite", "satellite-reference"])
+ANGLES = {"pmra": ("arcsec/yr", 1e-3), "pmra_error": ("arcsec/yr", 1e-3), "ra_error": ("uas", 1e3)}
+TIME = {"pmra": ("ms/yr", 0), "pmra_error": ("ms/yr", 0), "ra_error": ("ms", 0)}  # of the parallel
+ARCSEC = dict.fromkeys(("pmra", "pmdec", "pmra_error", "pmdec_error"), "arcsec/yr")
+OWN = {name: f"my {name}" for name in ("ra", *ARCSEC)}
+READ = [{"units": ARCSEC}, {"columns": OWN}, {"without_cos_dec": True}, {"epoch": 2016.0}, {"zero_errors": "missing"}]
 
 
 def linked(folder, epsilon, omega, sign="reference-satellite", unknowns="orientation,spin", epoch=2016.0, noisy=True):
@@ -48,15 +45,9 @@ def values_of(table):
 
 
 @settings(max_examples=3, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(
-    numbers=st.lists(st.floats(-300.0, 300.0), min_size=6, max_size=6),
-    sign=st.sampled_from(["reference-satellite", "satellite-reference"]),
-    epoch=st.sampled_from([2006.0, 2020.0]),
-    seed=st.integers(0, 99),
-)
-def test_it_is_the_exact_inverse_of_what_the_satellite_sees(tmp_path, numbers, sign, epoch, seed):
-    """With the orientation of the epoch of each row."""
-    epsilon, omega = np.array(numbers[:3]) * MAS, np.array(numbers[3:]) * MAS
+@given(SIGNS, st.sampled_from([2006.0, 2020.0]), st.integers(0, 99))
+def test_it_is_the_exact_inverse_of_what_the_satellite_sees(tmp_path, sign, epoch, seed):
+    epsilon, omega = np.random.default_rng(seed).uniform(-300.0, 300.0, (2, 3)) * MAS
     link, truth = linked(tmp_path, epsilon, omega, sign, epoch=epoch), stars(25, seed, pm=200.0)
     then = epsilon + (2016.0 - epoch) * omega
     seen = gaia(tmp_path / "seen.ecsv", replace(truth, values=seen_by_satellite(truth, then, omega)))
@@ -87,18 +78,14 @@ def test_from_fk5_to_hipparcos_as_erfa_does(tmp_path):
 
 def test_the_covariance_of_the_link_is_added(tmp_path):
     """Against derivatives by differences of the estimate, with an orientation at another epoch than the stars'."""
-    link, own = linked(tmp_path, EPSILON[0], OMEGA[0], epoch=2011.0), stars(12, 3, pm=5000.0)
+    link, own = linked(tmp_path, EPSILON, OMEGA, epoch=2011.0), stars(12, 3, pm=5000.0)
     table = gaia(tmp_path / "own.ecsv", own)
-    step = 10.0
     linksweep.apply(link, table, tmp_path / "moved.ecsv")
     derivatives = []
-    for k in range(6):
-        ends = [link.copy(deep=True) for _ in range(2)]
-        for end, sign in zip(ends, (1.0, -1.0), strict=True):
-            end["estimate"][k] += sign * step
-        difference = np.subtract(*(values_of(linksweep.apply(end, table)) for end in ends)) / (2.0 * step * MAS)
-        difference[0] *= np.cos(own.values[1])
-        derivatives.append(difference)
+    for step in 10.0 * np.eye(6):
+        ends = [values_of(linksweep.apply(link.assign(estimate=link.estimate + s), table)) for s in (step, -step)]
+        derivatives.append((ends[0] - ends[1]) / (20.0 * MAS))
+        derivatives[-1][0] *= np.cos(own.values[1])
     jacobian = np.moveaxis(np.array(derivatives), 0, -1).swapaxes(0, 1)
     expected = own.covariance() / MAS**2 + jacobian @ link.covariance.values @ jacobian.swapaxes(1, 2)
     found = read_table(tmp_path / "moved.ecsv").astrometry.covariance() / MAS**2
@@ -120,7 +107,7 @@ def test_only_covariances_of_what_is_turned_change_in_rows_with_accelerations(tm
 
 @pytest.mark.parametrize("has", [("ra_dec_corr",), ()])
 def test_correlations_without_a_column_are_named(tmp_path, has):
-    link, own = linked(tmp_path, EPSILON[0], OMEGA[0]), Table.read(tmp_path / "satellite.ecsv")
+    link, own = linked(tmp_path, EPSILON, OMEGA), Table.read(tmp_path / "satellite.ecsv")
     own = own[[name for name in own.colnames if name in has or not name.endswith("_corr")]]
     comments = linksweep.apply(link, own).meta["comments"]
     lost = re.findall(r"\w+_corr\b", next(note for note in comments if note.endswith("lost")))
@@ -142,7 +129,7 @@ def test_right_ascensions_stay_in_the_range_of_the_table(tmp_path, turn, low):
 
 @pytest.mark.parametrize("form", ["csv", "fits", *map(slow, ("ecsv", "parquet"))])
 def test_the_file_has_the_columns_of_the_input_and_a_tie_finds_no_rotation(tmp_path, form):
-    link = linked(tmp_path, 20.0 * EPSILON[0], OMEGA[0], noisy=False)
+    link = linked(tmp_path, 20.0 * EPSILON, OMEGA, noisy=False)
     out = tmp_path / f"moved.{form}"
     found = linksweep.apply(link, tmp_path / "satellite.ecsv", out)
     written, before = Table.read(out), Table.read(tmp_path / "satellite.ecsv")
@@ -155,15 +142,9 @@ def test_the_file_has_the_columns_of_the_input_and_a_tie_finds_no_rotation(tmp_p
         linksweep.apply(link, tmp_path / "satellite.ecsv", out)
 
 
-UNITS = [  # a factor of 0 is that of seconds of time along the parallel
-    {"pmra": ("arcsec/yr", 1e-3), "pmra_error": ("arcsec/yr", 1e-3), "ra_error": ("uas", 1e3), "dec": ("rad", DEGREE)},
-    {"pmra": ("ms/yr", 0), "pmra_error": ("ms/yr", 0), "ra_error": ("ms", 0), "ra": ("hourangle", 1.0 / 15.0)},
-]
-
-
-@pytest.mark.parametrize("units", UNITS, ids=["angles", "time"])
+@pytest.mark.parametrize("units", [ANGLES | {"dec": ("rad", DEGREE)}, TIME | {"ra": ("hourangle", 1.0 / 15.0)}])
 def test_columns_keep_their_units_and_names(tmp_path, units):
-    link = linked(tmp_path, EPSILON[0], OMEGA[0])
+    link = linked(tmp_path, EPSILON, OMEGA)
 
     def converted(table):
         table = table.copy()
@@ -184,21 +165,15 @@ def test_columns_keep_their_units_and_names(tmp_path, units):
     with pytest.raises(SweepError, match="CSV cannot say"):
         linksweep.apply(link, tmp_path / "units.ecsv", tmp_path / "units.csv")
     assert not (tmp_path / "units.csv").exists()
-    if units["ra_error"][0] == "ms":
-        with pytest.raises(SweepError, match=r"cannot hold .* write \.ecsv"):
-            linksweep.apply(link, tmp_path / "units.ecsv", tmp_path / "units.fits")
+    with pytest.raises(SweepError, match=r"cannot hold .* write \.ecsv") if "ra" in units else nullcontext():
+        linksweep.apply(link, tmp_path / "units.ecsv", tmp_path / "units.fits")
     quantities = linksweep.apply(link, QTable.read(tmp_path / "units.ecsv"), tmp_path / "quantities.ecsv")
     np.testing.assert_array_equal(quantities["ra"], moved["ra"])
 
 
-ARCSEC = dict.fromkeys(("pmra", "pmdec", "pmra_error", "pmdec_error"), "arcsec/yr")
-OWN = {name: f"my {name}" for name in ("ra", *ARCSEC)}
-READ = [{"units": ARCSEC}, {"columns": OWN}, {"without_cos_dec": True}, {"epoch": 2016.0}, {"zero_errors": "missing"}]
-
-
 @pytest.mark.parametrize("said", [*READ, READ[0] | READ[1] | READ[2]], ids=" ".join)
 def test_a_table_is_read_as_the_link_read_it_or_as_is_said(tmp_path, said):
-    linked(tmp_path, EPSILON[0], OMEGA[0])
+    linked(tmp_path, EPSILON, OMEGA)
     of_satellite, reference, form = (tmp_path / name for name in ("satellite.ecsv", "reference.ecsv", "form.csv"))
     names = said.get("columns", {})
 
@@ -237,7 +212,7 @@ def test_a_table_is_read_as_the_link_read_it_or_as_is_said(tmp_path, said):
 
 
 def test_motions_without_errors_are_turned_and_half_a_motion_is_refused(tmp_path):
-    link = linked(tmp_path, EPSILON[0], OMEGA[0])
+    link = linked(tmp_path, EPSILON, OMEGA)
     table = Table.read(tmp_path / "satellite.ecsv")
     whole = linksweep.apply(link, table)
     table = table[["source_id", "ra", "dec", "ref_epoch", "pmra", "pmdec"]]
@@ -251,17 +226,15 @@ def test_motions_without_errors_are_turned_and_half_a_motion_is_refused(tmp_path
 
 @pytest.mark.parametrize(("has", "lacks"), [("orientation", "spin"), ("spin", "orientation")])
 def test_what_the_link_lacks_stays_and_is_said(tmp_path, has, lacks):
-    link, own = linked(tmp_path, EPSILON[0], OMEGA[0], unknowns=has), gaia(tmp_path / "own.ecsv", stars(10, 4))
+    link, own = linked(tmp_path, EPSILON, OMEGA, unknowns=has), gaia(tmp_path / "own.ecsv", stars(10, 4))
     moved, zero = linksweep.apply(link, own), np.zeros(3)
-    whole = linked(tmp_path, *((EPSILON[0], zero) if lacks == "spin" else (zero, OMEGA[0])))
+    whole = linked(tmp_path, *((EPSILON, zero) if lacks == "spin" else (zero, OMEGA)))
     np.testing.assert_allclose(values_of(moved), values_of(linksweep.apply(whole, own)), atol=1e-20)
-    assert f"the link has no {lacks}" in " ".join(moved.meta["comments"])
-    assert "correlated" in " ".join(moved.meta["comments"])
+    assert all(words in " ".join(moved.meta["comments"]) for words in (f"the link has no {lacks}", "correlated"))
 
 
-def test_what_cannot_be_carried_is_refused_by_name(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    linked(tmp_path, EPSILON[0], OMEGA[0])
+def test_what_cannot_be_carried_is_refused_by_name(here):
+    linked(here, EPSILON, OMEGA)
     both = ("satellite.ecsv", "reference.ecsv")
     for options, said in (
         ({"unknowns": "orientation,spin,glide"}, "has glide too"),
@@ -271,9 +244,9 @@ def test_what_cannot_be_carried_is_refused_by_name(tmp_path, monkeypatch):
         with pytest.raises(SweepError, match=said):
             linksweep.apply(linksweep.tie(*both, **options), "satellite.ecsv")
     assert CliRunner().invoke(main, ["tie", *both, "-o", "tie.zarr"]).exit_code == 0
-    gaia(tmp_path / "dr4.ecsv", stars(10, 1, epoch=2017.5))
+    gaia(here / "dr4.ecsv", stars(10, 1, epoch=2017.5))
     Table({"a": [1]}).write("other.ecsv")
-    before = sorted(path.name for path in tmp_path.iterdir())
+    before = sorted(path.name for path in here.iterdir())
     for arguments, said in (
         (("tie.zarr", "dr4.ecsv", "-o", "o.fits"), "epoch 2017.5 in row 1"),
         (("satellite.ecsv", "satellite.ecsv", "-o", "o.fits"), "is no link of two tables"),
@@ -282,6 +255,6 @@ def test_what_cannot_be_carried_is_refused_by_name(tmp_path, monkeypatch):
     ):
         run = CliRunner().invoke(main, ["apply", *arguments])
         assert (run.exit_code, said in " ".join(run.output.split())) == (2, True), run.output
-    assert sorted(path.name for path in tmp_path.iterdir()) == before
+    assert sorted(path.name for path in here.iterdir()) == before
     run = CliRunner().invoke(main, ["apply", "tie.zarr", "satellite.ecsv", "-o", "o.fits"])
     assert (run.exit_code, "by orientation and spin" in run.output) == (0, True)

@@ -39,9 +39,7 @@ def tables(request, tmp_path):
     rows = replace(rows, values=seen(own, rows))
     paths = gaia(tmp_path / "dr3.fits", own), gaia(tmp_path / "rows.fits", rows)
     later = gaia(tmp_path / "dr4.fits", scaled(own, "dr3", "dr4"))
-    return SimpleNamespace(
-        folder=tmp_path, own=own, rows=rows, known={}, paths=paths, scaled=later, weights="covariance"
-    )
+    return SimpleNamespace(folder=tmp_path, own=own, rows=rows, known={}, paths=paths, scaled=later)
 
 
 def covariance(tables, satellite, sources=(), epochs=EPOCHS):
@@ -56,7 +54,7 @@ def covariance(tables, satellite, sources=(), epochs=EPOCHS):
     joint = joined(tables.rows, replace(new, values=seen(new, new)))
     joint = replace(joint, radial_velocity=np.zeros(len(joint)))
     path = gaia(tables.folder / "extended.fits", joint, source_id=which + 10**17)
-    how = {"epoch": 2016.0, "accept_misfit": True, "weights": tables.weights}
+    how = {"epoch": 2016.0, "accept_misfit": True, "weights": vars(tables).get("weights", "covariance")}
     link = tie(satellite, path, "orientation,spin", errors="formal", **how)
     tables.known[key] = link.covariance.values
     return tables.known[key]
@@ -84,9 +82,8 @@ def test_every_stage_and_choice_is_the_link_with_the_new_rows(tables, criterion,
         expected = value(matrix, blocks, criterion)
         np.testing.assert_allclose(plan.criterion.sel(stage=stage), expected, **close, err_msg=stage)
     for epoch in EPOCHS:
-        matrix = covariance(tables, scaled, every, [epoch])
-        found = plan.error_with_epoch.sel(new_epoch=epoch)
-        np.testing.assert_allclose(found, np.sqrt(np.diag(matrix)), rtol=1e-5)
+        expected = np.sqrt(np.diag(covariance(tables, scaled, every, [epoch])))
+        np.testing.assert_allclose(plan.error_with_epoch.sel(new_epoch=epoch), expected, rtol=1e-5)
     alone = np.array([value(covariance(tables, scaled, [s]), blocks, criterion) for s in every])
     np.testing.assert_allclose(plan.criterion_alone, alone, **close)
     np.testing.assert_array_equal(plan["rank"], [1 + int(np.sum(alone < one)) for one in alone])
@@ -115,9 +112,8 @@ def folder(tmp_path_factory):
     for name, epoch in EPOCH.items():
         gaia(made / f"{name}.fits", resting(epoch))
     gaia(made / "other.fits", resting(1991.25))
-    mixed = resting(2016.0)
-    gaia(made / "mixed.fits", replace(mixed, epoch=np.where(np.arange(12) < 6, 2016.0, 2017.5)))
-    gaia(made / "various.fits", replace(mixed, epoch=np.where(np.arange(12) < 6, 2016.0, 2017.3)))
+    for name, epoch in (("mixed", 2017.5), ("various", 2017.3)):
+        gaia(made / f"{name}.fits", replace(resting(2016.0), epoch=np.repeat([2016.0, epoch], 6)))
     return made
 
 
@@ -134,7 +130,6 @@ def errors_by_hand(folder, table, old, new):
 @settings(max_examples=examples(25), deadline=None)
 @given(pair=st.sampled_from(list(permutations(EPOCH, 2))))
 def test_errors_are_scaled_from_the_release_that_has_the_epoch(folder, pair):
-    """A table of DR4 was scaled from DR3, which made its motions 2.7 times too good."""
     old, new = pair
     if MONTHS[new] < MONTHS[old]:
         with pytest.raises(SweepError, match=f"is that of {old}, the same or a later one"):
@@ -174,9 +169,8 @@ def test_a_study_scales_from_the_same_release(folder):
     fixed = tables | {"accept_misfit": True, "release": "dr5"}
     study = {"experiment": "linksweep.sweep.tie.experiment:tie", "sampling": {"n_sim": 2}}
     predicted = linksweep.run(study | {"fixed": fixed}, folder / "s.zarr", pool="serial").sigma_predicted
-    np.testing.assert_allclose(
-        predicted.values[..., :6].ravel(), errors_by_hand(folder, "dr4", "dr4", "dr5"), rtol=1e-9
-    )
+    expected = errors_by_hand(folder, "dr4", "dr4", "dr5")
+    np.testing.assert_allclose(predicted.values[..., :6].ravel(), expected, rtol=1e-9)
     for changes, words in (({"from_release": "dr3"}, "are those of dr4"), ({"release": "dr3"}, "a later one")):
         with pytest.raises(SweepError, match=words):
             linksweep.run(study | {"fixed": fixed | changes}, folder / "t.zarr", pool="serial")

@@ -2,6 +2,8 @@
 
 import re
 from dataclasses import replace
+from functools import partial
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -19,18 +21,15 @@ from tests.core.tie.made import NAMES, gaia_table, noise, seen_by_satellite, sta
 from tests.tiers import slow
 
 EPSILON, OMEGA = np.array([0.8, -1.5, 0.6]) * MAS, np.array([-0.12, 0.25, 0.07]) * MAS
-
-
-POSITIONS, MOTIONS = ("ra_error", "dec_error"), ("pmra", "pmdec")
+POSITIONS, MOTIONS, ECLIPTIC = ("ra_error", "dec_error"), ("pmra", "pmdec"), "geocentricmeanecliptic"
 ERRORS = tuple(f"{name}_error" for name in NAMES)
+CORRELATIONS = [f"{one}_{other}_corr" for one, other in combinations(NAMES, 2)]
 EXCHANGED = {a + end: lambda t, name=b + end: t[name] for a, b in (MOTIONS, MOTIONS[::-1]) for end in ("", "_error")}
 WITHOUT_COS = {n: lambda table, n=n: table[n] / np.cos(np.radians(table["dec"])) for n in ("pmra", "pmra_error")}
 
 
 def sky(n, seed):
-    """Return a satellite's table and VLBI rows: positions of three or four epochs of each star, and for every other
-    star motion and parallax.
-    """
+    """Return a satellite's table and VLBI rows: three or four positions of a star, and some motions and parallaxes."""
     rng = np.random.default_rng(seed)
     truth, names = stars(n, seed + 1, pm=60.0, parallax=15.0), 10**17 + 7 * np.arange(n)
     own = replace(truth, values=seen_by_satellite(truth, EPSILON, OMEGA))
@@ -73,10 +72,6 @@ def one_reversed(table):
     return np.where(np.arange(len(table)) == np.argmax(np.abs(table["pmra"])), -1.0, 1.0) * table["pmra"]
 
 
-def without_correlations(table, rng):
-    table.remove_columns([name for name in table.colnames if name.endswith("_corr")])
-
-
 def twice_with_other_digits(table, rng):
     again = table[[rng.choice(np.flatnonzero(np.isfinite(table["ra_error"])))]].copy()
     for name, digits in (("ra", 8), ("dec", 8), ("ra_error", 3)):
@@ -94,12 +89,9 @@ def names_exchanged(table, rng):
     table["source_id"] = [{one: other, other: one}.get(name, name) for name in table["source_id"]]
 
 
-def in_frame(frame):
-    def change(table, rng):
-        there = SkyCoord(table["ra"], table["dec"], unit="deg").transform_to(frame).spherical
-        table["ra"], table["dec"] = there.lon.deg, there.lat.deg
-
-    return change
+def in_frame(table, rng, frame):
+    there = SkyCoord(table["ra"], table["dec"], unit="deg").transform_to(frame).spherical
+    table["ra"], table["dec"] = there.lon.deg, there.lat.deg
 
 
 MISTAKES = {
@@ -120,23 +112,17 @@ MISTAKES = {
     "errors in uas": ("satellite", scaled(ERRORS, 1e3), "too large, uas taken for mas"),
     "motion errors in uas": ("satellite", scaled(ERRORS[3:], 1e3), "proper motions of the satellite too large, uas"),
     "parallax errors in s": ("satellite", scaled(ERRORS[2:3], 1.5e4), "parallaxes of the sat.* too large, .* seconds"),
-    "one parallax missing": (
-        "satellite",
-        {"parallax": one_missing},
-        r"without \d+ it is .*; no known mistake",
-    ),
-    "no correlations": ("satellite", without_correlations, "no correlations"),
+    "one parallax missing": ("satellite", {"parallax": one_missing}, r"without \d+ it is .*; no known mistake"),
+    "no correlations": ("satellite", lambda table, rng: table.remove_columns(CORRELATIONS), "no correlations"),
     "one row twice": ("reference", twice_with_other_digits, "(nearly the|the same) numbers (of|as) another row"),
     "errors that are NaN": ("reference", errors_nan, "rows have no error of ra, dec"),
     "names exchanged": ("reference", names_exchanged, "exchanged"),
-    "B1950": ("reference", in_frame("fk4"), r"positions of reference.fits of the equinox B1950\?"),
-    "ecliptic": ("satellite", in_frame("geocentricmeanecliptic"), r"positions of satellite.fits ecliptic\?"),
-    "galactic": ("reference", in_frame("galactic"), r"positions of reference.fits galactic\?"),
+    "B1950": ("reference", partial(in_frame, frame="fk4"), r"positions of reference.fits of the equinox B1950\?"),
+    "ecliptic": ("satellite", partial(in_frame, frame=ECLIPTIC), r"positions of satellite.fits ecliptic\?"),
+    "galactic": ("reference", partial(in_frame, frame="galactic"), r"positions of reference.fits galactic\?"),
 }
-QUICK = {
-    *("mu_alpha", "half a year early there", "one star reversed", "errors in uas", "one row twice"),
-    *("motion errors in uas", "one parallax missing", "B1950", "ecliptic"),
-}
+QUICK = {"mu_alpha", "half a year early there", "one star reversed", "errors in uas", "one row twice", "B1950"}
+QUICK |= {"motion errors in uas", "one parallax missing", "ecliptic"}
 
 
 def with_mistakes(n, seed, *mistakes):
@@ -178,7 +164,7 @@ def test_a_mistake_is_named(tmp_path, mistake, n, seed):
 
 def test_a_row_off_near_the_pole_of_the_ecliptic_is_not_of_another_equinox(tmp_path):
     satellite, reference = sky(30, 1)
-    pole = SkyCoord(10.0, 89.7, unit="deg", frame="barycentricmeanecliptic").icrs
+    pole = SkyCoord(10.0, 89.7, unit="deg", frame=ECLIPTIC.replace("geo", "bary")).icrs
     for table in (satellite, reference):
         here = table["source_id"] == satellite["source_id"][0]
         table["ra"][here], table["dec"][here] = pole.ra.deg, pole.dec.deg
@@ -188,13 +174,11 @@ def test_a_row_off_near_the_pole_of_the_ecliptic_is_not_of_another_equinox(tmp_p
     assert not any("B1950" in note for note in notes), notes
 
 
-PAIRS = [
-    ("mu_alpha", "a quarter year late there", 12, 3),
-    ("motions exchanged", "motions in arcsec there", 12, 3),
-    ("a century early there", "one star reversed", 12, 3),
-    ("mu_alpha there", "motions exchanged", 12, 3),
-    ("mu_alpha", "mu_alpha there", 10, 2),  # which wrong epochs of single rows would explain as well
-]
+PAIRS = [("motions exchanged", one, 12, 3) for one in ("motions in arcsec there", "mu_alpha there")]
+PAIRS += [("mu_alpha", "a quarter year late there", 12, 3), ("a century early there", "one star reversed", 12, 3)]
+PAIRS += [("mu_alpha", "mu_alpha there", 10, 2)]  # which wrong epochs of single rows would explain as well
+OFF = [mistake for mistake in MISTAKES if "year" in mistake or "century" in mistake]
+VALUES = [mistake for mistake in MISTAKES if re.search("mu_alpha|motions|reversed", mistake)]
 
 
 @pytest.mark.slow
@@ -202,10 +186,6 @@ PAIRS = [
 def test_two_mistakes_at_once_are_both_named(tmp_path, one, other, n, seed):
     found = solved(tmp_path, *with_mistakes(n, seed, one, other))
     assert all(re.search(MISTAKES[mistake][2], found[0]) for mistake in (one, other)), found
-
-
-OFF = [mistake for mistake in MISTAKES if "year" in mistake or "century" in mistake]
-VALUES = [mistake for mistake in MISTAKES if re.search("mu_alpha|motions|reversed", mistake)]
 
 
 @pytest.mark.slow
@@ -258,9 +238,8 @@ def test_a_real_misfit_has_no_invented_cause_and_sources_that_alone_carry_it_are
     for k, name in enumerate(NAMES):
         step = size * rng.normal(size=len(reference)) * reference[f"{name}_error"]
         reference[name] += step / (1.0 if k > 1 else 3.6e6)
-    found = solved(tmp_path, satellite, reference)[0]
-    assert found.startswith("chi2 is ")
-    assert found.endswith("no known mistake explains it: errors may be too small, or sources not single")
+    words = "^chi2 is .*no known mistake explains it: errors may be too small, or sources not single$"
+    assert re.search(words, solved(tmp_path, satellite, reference)[0])
     satellite, reference = sky(8, 6)
     bad = reference["source_id"][0]
     at = reference["source_id"] == bad
@@ -269,7 +248,6 @@ def test_a_real_misfit_has_no_invented_cause_and_sources_that_alone_carry_it_are
 
 
 def test_quasars_without_an_epoch_are_mean_positions(tmp_path):
-    """An epoch instead would displace them by the noise of the satellite's parallaxes."""
     rng, made = np.random.default_rng(3), stars(300, 3)
     values = np.concatenate([made.values[:2], rng.normal(-0.02, 0.1, (3, 300)) * MAS])
     made = replace(made, values=values, errors=np.full((5, 300), 0.1 * MAS))

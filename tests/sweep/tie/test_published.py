@@ -1,4 +1,6 @@
-"""Links of the built-in tables: what was published, harmonics as rotation, glide and quadrupoles, and differences."""
+"""Links of the built-in tables: what was published, differences, harmonics as quadrupoles; and with the commands."""
+
+import json
 
 import numpy as np
 import pytest
@@ -8,29 +10,31 @@ from scipy.stats import chi2, f
 
 import linksweep
 from linksweep import SweepError, tie
+from tests.conftest import run_sweep
 from tests.core.tie.made import Objects, main, parse_unknowns
+
+PULSARS = "psrpi-de200", "timing-de200", "orientation"
+LINK = ("psrpi-de200", "timing-de200", "--unknowns", "orientation", "--clip", "discrepancy", "--errors", "jackknife")
+PLAN = ("psrpi", "psrpi", "--unknowns", "orientation", "--add", "2030")
 
 
 def test_icrf2_against_icrf3():
     link = tie("icrf3", "icrf2", degree=2, clip="rayleigh")
-    uas = 1000.0 * link.estimate.values
-    assert int(link.n_sources_matched) == 3410
-    assert int(link.n_sources) == 3237
-    np.testing.assert_array_equal(np.round(uas[:6]), [11, 14, -1, 22, 63, 89])
-    np.testing.assert_array_equal(np.round(1000.0 * link.error.values[:6]), [4, 4, 3, 4, 4, 4])
+    assert (int(link.n_sources_matched), int(link.n_sources)) == (3410, 3237)
+    np.testing.assert_array_equal(np.round(1000.0 * link.estimate[:6]), [11, 14, -1, 22, 63, 89])
+    np.testing.assert_array_equal(np.round(1000.0 * link.error[:6]), [4, 4, 3, 4, 4, 4])
     assert link.attrs["sign"] == "reference-satellite"
     assert list(link.attrs["notes"]) == ["of orientation and spin the tables determine only the orientation"]
 
 
 def test_timing_on_de200_against_vlbi():
-    link = tie("psrpi-de200", "timing-de200", "orientation")
+    link = tie(*PULSARS)
     assert int(link.n_sources) == 9
     np.testing.assert_allclose(link.estimate, [-0.90, -13.04, -12.18], atol=0.035)
     np.testing.assert_allclose(link.error, [0.99, 1.21, 0.48], atol=0.015)
 
 
 def test_a_link_is_written_in_one_step(tmp_path, monkeypatch):
-    """A write that failed half-way left a folder by that name, which the next run refused."""
     command, write = ["tie", "psrpi-de200", "timing-de200", "-o", str(tmp_path / "link.zarr")], xr.Dataset.to_zarr
 
     def interrupted(dataset, *arguments, **options):
@@ -85,7 +89,7 @@ def test_the_amplitudes_are_the_field_that_was_fitted():
 
 
 def test_a_difference_is_at_the_epoch_and_in_the_sign_of_the_first():
-    tables = "psrpi-de200", "timing-de200", "orientation,spin"
+    tables = *PULSARS[:2], "orientation,spin"
     one = linksweep.tie(*tables, epoch=2010.0)
     for sign in ("reference-satellite", "satellite-reference"):
         made = linksweep.difference(one, linksweep.tie(*tables, epoch=2016.0, sign=sign))  # the same link at two epochs
@@ -98,8 +102,7 @@ def test_a_difference_is_at_the_epoch_and_in_the_sign_of_the_first():
 @pytest.mark.parametrize(("mine", "theirs"), [("jackknife", "sandwich"), ("cells", "scaled"), ("formal", "bootstrap")])
 def test_chi2_of_a_difference_of_errors_from_the_scatter_of_sources_is_hotellings(mine, theirs):
     """The degrees of freedom of the sum are those of Wishart matrices with its mean and total variance."""
-    tables = "psrpi-de200", "timing-de200", "orientation"
-    links = [linksweep.tie(*tables, epoch=2010.0, errors=kind) for kind in (mine, theirs)]
+    links = [linksweep.tie(*PULSARS, epoch=2010.0, errors=kind) for kind in (mine, theirs)]
     made, p, total = linksweep.difference(*links), 3, 0.0
     for link, kind in zip(links, (mine, theirs), strict=True):
         samples = float(link.samples[0])
@@ -115,16 +118,64 @@ def test_chi2_of_a_difference_of_errors_from_the_scatter_of_sources_is_hotelling
 
 
 def test_chi2_of_a_difference_is_that_of_its_covariance_and_what_has_none_is_refused():
-    tables = "psrpi-de200", "timing-de200", "orientation"
-    one, other = (linksweep.tie(*tables, epoch=2010.0, weights=weights) for weights in ("variance", "equal"))
+    one, other = (linksweep.tie(*PULSARS, epoch=2010.0, weights=weights) for weights in ("variance", "equal"))
     made = linksweep.difference(one, other)
     apart = one.estimate.values - other.estimate.values
     expected = apart @ np.linalg.inv(one.covariance.values + other.covariance.values) @ apart
     assert made.chi2.item() == pytest.approx(expected)
     assert made.probability.item() == pytest.approx(chi2(3).sf(expected))
-    later = linksweep.tie(*tables, epoch=2016.0)
-    beside = linksweep.tie(*tables, epoch=2010.0, known_orientation=[1.0, 0.0, 0.0])
+    later = linksweep.tie(*PULSARS, epoch=2016.0)
+    beside = linksweep.tie(*PULSARS, epoch=2010.0, known_orientation=[1.0, 0.0, 0.0])
     plan = linksweep.forecast("psrpi", "psrpi", "orientation")
     for second, why in ((later, "no omega_x"), (plan, "two links"), (beside, "known_orientation is .* and none")):
         with pytest.raises(SweepError, match=why):
             linksweep.difference(one, second)
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("stored")
+    link = run_sweep("tie", *LINK, "-o", folder / "tie.zarr")
+    plan = run_sweep("forecast", *PLAN, "-o", folder / "plan.zarr")
+    assert (link[0], plan[0]) == (0, 0), link[2] + plan[2]
+    return folder, link[1], plan[1]
+
+
+def test_a_link_is_printed_with_its_sign_stored_and_shown_again_also_in_formats_for_programs(stored):
+    folder, link, plan = stored
+    assert all(words in link for words in ("reference - satellite", "epsilon_y", "jackknife"))
+    with xr.open_zarr(folder / "tie.zarr") as found:
+        assert found.attrs["sign"] == "reference-satellite"
+        assert float(found.estimate[1]) == pytest.approx(-13.06, abs=0.01)
+    assert "exists already" in run_sweep("tie", *LINK, "-o", folder / "tie.zarr", code=2)[2]
+    assert run_sweep("show", folder / "tie.zarr")[1] == link
+    assert run_sweep("show", folder / "plan.zarr")[1] == plan
+    content = json.loads(run_sweep("show", folder / "tie.zarr", "--json")[1])
+    assert content["variables"]["estimate"]["values"][1] == pytest.approx(-13.06, abs=0.01)
+    lines = run_sweep("show", folder / "tie.zarr", "--format", "csv")[1].splitlines()
+    assert lines[0] == "unknown,unit,estimate,error_jackknife,error_formal,error_scaled"
+    assert lines[2].startswith("epsilon_y,mas,-13.05")
+    assert "reference-satellite" in run_sweep("show", folder / "tie.zarr", "--format", "ecsv")[1]
+    assert run_sweep("show", folder / "plan.zarr", "--format", "csv")[1].startswith("unknown,unit,error_now")
+
+
+def test_json_has_everything():
+    options = ("--unknowns", "orientation", "--json", "--sign", "satellite-reference", "--clip", "discrepancy:1")
+    content = json.loads(run_sweep("tie", "psrpi-de200", "timing-de200", *options)[1])
+    assert content["attributes"]["sign"] == "satellite-reference"
+    assert content["variables"]["estimate"]["values"][1] > 0.0
+    assert content["variables"]["step_chosen"]["values"] == 1
+
+
+def test_what_cannot_be_drawn_and_a_damaged_result_are_one_message(stored, tmp_path):
+    folder, _, _ = stored
+    content = json.loads((folder / "tie.zarr" / "zarr.json").read_text())
+    content = {key: part for key, part in content.items() if key not in ("node_type", "consolidated_metadata")}
+    (tmp_path / "bad.zarr").mkdir()
+    (tmp_path / "bad.zarr" / "zarr.json").write_text(json.dumps(content))
+    said = {"--kind bins": "--bins COLUMN=EDGES", "--kind epochs": "no kind 'epochs' of a tie"}
+    said |= {"--at unknown=epsilon_x": "--at chooses a part of a grid", "--variable estimate": "only its kind"}
+    said = {f"plot {folder}/tie.zarr {option}": message for option, message in said.items()}
+    for command, message in {**said, "show bad.zarr": "is damaged"}.items():
+        assert message in run_sweep(*command.split(), cwd=tmp_path, code=2)[2]
+    assert [path.name for path in tmp_path.iterdir()] == ["bad.zarr"]

@@ -1,5 +1,6 @@
 """Links of tables as studies: the draws against closed forms, the built-in studies against what was published."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +18,20 @@ from tests.core.tie.made import MAS, Objects, gaia, gaia_table, noise, parse_unk
 from tests.tiers import slow
 
 TIE = "linksweep.sweep.tie.experiment:tie"
+# Options of the command that say where it runs and what it prints; a study gives these errors, reference - satellite.
+ABOUT_OUTPUT = "workers pool scheduler tls_ca tls_cert tls_key cluster time_limit memory_limit dashboard more_epochs "
+ABOUT_OUTPUT += "errors resamples seed sign no_sources output figures as_json"
+WRONG = [("degree", 0, "degree=0"), ("known_spin", [0.1, 0.2], "known-spin=0.1,0.2"), ("bins", "17", "bins=17")]
+WHERE = ["phot_g_mean_mag < 14", "reference: phot_g_mean_mag < 10"]
+HIP = {"missions": {"hip": "hip.ecsv"}, "columns": {"hip:parallax": "plx"}, "mission_epochs": {"hip": "1991.25"}}
+CASES = {  # in a study, and in Python
+    **{clip: ({"clip": clip}, {"clip": clip}) for clip in ("huber:1.5", "discrepancy:2", "median:1.5")},
+    "jitter": ({"jitter": "estimate"}, {"jitter": "estimate"}),
+    "without_cos_dec": ({"without_cos_dec": "reference"}, {"without_cos_dec": "reference"}),
+    "where there": ({"where": "; ".join(WHERE)}, {"where": WHERE}),
+    "missions": (HIP, HIP | {"mission_epochs": {"hip": 1991.25}}),
+    "known_spin_table": ({"known_spin_table": "spin.ecsv"}, {"known_spin": "spin.ecsv"}),
+}
 
 
 def point(study, **changes):
@@ -33,9 +48,7 @@ def results(at, n_sim=400, seed=1):
 @pytest.mark.parametrize("n_sim", [8, 40])
 @pytest.mark.parametrize("study", ["quasars", "pulsar-timing"])
 def test_monte_carlo_errors_are_the_scatter_between_seeds(tmp_path, n_sim, study):
-    """Those of an RMS lacked a factor of 2 in a mutant that no test killed."""
-    at, seeds, rtol = point("pulsar-timing"), 200, 0.25
-    names = {"sigma", "bias", "sigma_orientation"}
+    at, seeds, rtol, names = point("pulsar-timing"), 200, 0.25, {"sigma", "bias", "sigma_orientation"}
     if study == "quasars":
         at, seeds, rtol = quasar_study(tmp_path, n=60, bins="phot_g_mean_mag=17")[0], 300, 0.2
         names = {"sigma", "bias", "sigma_spin", "sigma_by_bin", "chi2_ratio_drawn"}
@@ -118,8 +131,7 @@ def test_a_spin_for_each_bin_is_stored(tmp_path):
     np.testing.assert_allclose(found["spin_by_bin"][1:3], link.spin_by_bin)
     np.testing.assert_allclose(found["spin_by_bin_error"][1:3], link.spin_by_bin_error)
     np.testing.assert_allclose(link.spin_by_bin_error.values.ravel(), link.error.values)
-    with np.errstate(invalid="ignore"):
-        assert np.isnan(found["spin_by_bin"][0]).all()  # nobody is brighter than G = 10
+    assert np.isnan(found["spin_by_bin"][0]).all()  # nobody is brighter than G = 10
     for number, faint in ((1, False), (2, True)):
         np.testing.assert_allclose(found["spin_by_bin"][number], spins[faint], atol=0.12)
         np.testing.assert_allclose(found["sigma_by_bin"][number], found["sigma_by_bin_predicted"][number], rtol=0.2)
@@ -166,18 +178,15 @@ def test_limits_of_magnitude_leave_sources_out():
 
 
 def test_what_cannot_be_computed_is_said():
-    for changes, words in (
-        *(({"satellite": None}, "satellite is required"), ({"n_new": 63}, "there are 62 sources to observe")),
-        *(({"n_new": 0}, "no rows"), ({"n_new": 1}, "do not tell these unknowns apart")),
-        *(({"goal": "spin"}, "no unknowns 'spin'"), ({"g_max": 12.0}, "no such column")),
-        ({"magnitude": "parallax", "g_min": 1e6}, "no source"),
-    ):
+    wrong = {"satellite is required": {"satellite": None}, "there are 62 sources to observe": {"n_new": 63}}
+    wrong |= {
+        "no rows": {"n_new": 0},
+        "do not tell these unknowns apart": {"n_new": 1},
+        "no such column": {"g_max": 12},
+    }
+    wrong |= {"no unknowns 'spin'": {"goal": "spin"}, "no source": {"magnitude": "parallax", "g_min": 1e6}}
+    for words, changes in wrong.items():
         assert words in check(point("pulsar-forecast", n_new=5) | changes)
-
-
-# Options of the command that say where it runs and what it prints; a study gives these errors, reference - satellite.
-ABOUT_OUTPUT = "workers pool scheduler tls_ca tls_cert tls_key cluster time_limit memory_limit dashboard more_epochs "
-ABOUT_OUTPUT += "errors resamples seed sign no_sources output figures as_json"
 
 
 def test_studies_and_forecasts_have_every_option_of_a_link_under_its_name():
@@ -187,23 +196,17 @@ def test_studies_and_forecasts_have_every_option_of_a_link_under_its_name():
     assert options - {"clip", "accept_misfit"} <= forecasts
 
 
-WRONG = [("degree", 0, "0"), ("known_spin", [0.1, 0.2], "0.1,0.2"), ("bins", "17", "17")]
-
-
-@pytest.mark.parametrize(("name", "value", "text"), [*WRONG, ("star_models", {"all": "7"}, "all=7")])
+@pytest.mark.parametrize(("name", "value", "text"), [*WRONG, ("star_models", {"all": "7"}, "star-model=all=7")])
 def test_a_wrong_value_has_the_same_sentence_everywhere(tmp_path, name, value, text):
     table = str(gaia(tmp_path / "satellite.ecsv", stars(9, 3)))
     with pytest.raises(SweepError) as error:
         linksweep.tie(table, table, **{name: value})
-    with pytest.raises(SweepError) as other:
+    with pytest.raises(SweepError, match=f"^{re.escape(str(error.value))}$"):
         linksweep.forecast(table, table, **{name: value})
-    with pytest.raises(SweepError) as in_study:
+    with pytest.raises(SweepError, match=re.escape(str(error.value))):
         written(tmp_path, satellite=table, reference=table, **{name: value})
-    assert str(error.value) == str(other.value)
-    assert str(error.value) in str(in_study.value)
     for command in ("tie", "forecast"):
-        flag = f"--{name.removesuffix('s') if name == 'star_models' else name}".replace("_", "-")
-        done = CliRunner().invoke(main, [command, table, table, f"{flag}={text}"])
+        done = CliRunner().invoke(main, [command, table, table, f"--{text}"])
         assert (done.exit_code, str(error.value) in " ".join(done.stderr.split())) == (2, True), done.stderr
 
 
@@ -214,21 +217,8 @@ def written(folder, **changes):
     return linksweep.run(study, folder / "s.zarr", pool="serial", fresh=True)
 
 
-WHERE = ["phot_g_mean_mag < 14", "reference: phot_g_mean_mag < 10"]
-HIP = {"missions": {"hip": "hip.ecsv"}, "columns": {"hip:parallax": "plx"}, "mission_epochs": {"hip": "1991.25"}}
-CASES = {  # in a study, and in Python
-    **{clip: ({"clip": clip}, {"clip": clip}) for clip in ("huber:1.5", "discrepancy:2", "median:1.5")},
-    "jitter": ({"jitter": "estimate"}, {"jitter": "estimate"}),
-    "without_cos_dec": ({"without_cos_dec": "reference"}, {"without_cos_dec": "reference"}),
-    "where there": ({"where": "; ".join(WHERE)}, {"where": WHERE}),
-    "missions": (HIP, HIP | {"mission_epochs": {"hip": 1991.25}}),
-    "known_spin_table": ({"known_spin_table": "spin.ecsv"}, {"known_spin": "spin.ecsv"}),
-}
-
-
 @pytest.mark.parametrize("case", [case if case in ("jitter", "discrepancy:2") else slow(case) for case in CASES])
-def test_a_study_has_what_the_command_has_with_each_option(tmp_path, monkeypatch, case):
-    monkeypatch.chdir(tmp_path)
+def test_a_study_has_what_the_command_has_with_each_option(here, case):
     gaia("satellite.ecsv", stars(20, 3))
     reference = stars(20, 4)
     values = stars(20, 3).values + 3.0 * noise(np.random.default_rng(1), reference)
@@ -240,7 +230,7 @@ def test_a_study_has_what_the_command_has_with_each_option(tmp_path, monkeypatch
     spins = {"mag_min": [0.0, 8.0], "mag_max": [8.0, 20.0]} | {f"omega_{axis}": [0.1, 0.2] for axis in "xyz"}
     Table(spins, units=dict.fromkeys(("omega_x", "omega_y", "omega_z"), "mas/yr")).write("spin.ecsv")
     in_study, in_python = CASES[case]
-    results = written(tmp_path, satellite="satellite.ecsv", reference="reference.ecsv", **in_study)
+    results = written(here, satellite="satellite.ecsv", reference="reference.ecsv", **in_study)
     unknowns = "orientation,spin" + (",hip:orientation,hip:spin" if case == "missions" else "")
     options = {"accept_misfit": True, "errors": "scaled,jackknife,formal"}
     link = linksweep.tie("satellite.ecsv", "reference.ecsv", unknowns, **options, **in_python)
@@ -262,12 +252,8 @@ def test_a_study_has_what_the_command_has_with_each_option(tmp_path, monkeypatch
 @pytest.mark.parametrize("weights", ["covariance", "equal"])
 def test_draws_scatter_as_the_closed_form_says(weights):
     found = results(point("pulsar-timing", weights=weights), 2000)
-    solved = slice(0, 3)
-    off = np.abs(found["sigma"] - found["sigma_predicted"])[solved] / found["sigma_mc_error"][solved]
-    assert off.max() < 4.5
-    off = abs(found["sigma_orientation"] - found["sigma_orientation_predicted"])
-    assert off < 4.5 * found["sigma_orientation_mc_error"]
-    assert np.abs(found["coverage"][solved] - 0.6827).max() < 4.5 * found["coverage_mc_error"][solved].max()
-    assert np.abs(found["bias"] / found["bias_mc_error"])[solved].max() < 4.5
-    assert abs(found["chi2_ratio_drawn"] - 1.0) < 4.5 * found["chi2_ratio_drawn_mc_error"]
+    expected = {"sigma": found["sigma_predicted"], "sigma_orientation": found["sigma_orientation_predicted"]}
+    for name, value in {**expected, "coverage": 0.6827, "bias": 0.0, "chi2_ratio_drawn": 1.0}.items():
+        off = np.atleast_1d((found[name] - value) / found[f"{name}_mc_error"])[:3]
+        assert np.abs(off).max() < 4.5, name
     assert np.all(np.isnan(found["sigma"][3:]))

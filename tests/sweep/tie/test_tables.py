@@ -15,11 +15,18 @@ from linksweep.sweep.tie.setup import match
 from linksweep.sweep.tie.tables import TableOptions, read_table
 from tests.core.tie.made import NAMES, gaia, gaia_table, only, seen_by_satellite, stars
 
+WRITTEN = [("deg", 7), ("deg", 6), ("arcsec", 3), ("hms", 4), ("rad", 9), ("deg", 12), ("hms", 8)]
+WHEN = Time([1991.25, 2016.0, 2030.4], format="jyear", scale="tdb")
+TEXTS = [f"{text}Z" for text in WHEN.isot], [f"J{y}" for y in WHEN.jyear], [f"B{y:.6f}" for y in WHEN.byear]
+EXACTLY = [(when, 1e-6) for when in (WHEN.jyear, WHEN.mjd, WHEN.jd, WHEN)]
+TIMES = [("fits", Time(WHEN.jyear, format="jyear", scale=scale), 0.01) for scale in ("tcb", "tai")]
+FORMS = [*EXACTLY, *((text, 0.01) for text in (*TEXTS, WHEN.datetime64))]
+VIZIER = ("RA", "DE", "Plx", "pmRA", "pmDE")
+POSITIONS = [("RA_ICRS", "DE_ICRS", "tsv"), ("_RA.icrs", "_DE.icrs", "vot"), ("RAJ2000", "DEJ2000", "ecsv")]
+
 
 def test_blank_values_decide_the_kind_and_are_no_zeros(tmp_path):
-    made = stars(4)
-    blank = np.array([False, True, False, False])
-    changes = {}
+    made, changes, blank = stars(4), {}, np.array([False, True, False, False])
     for i, name in enumerate(NAMES[2:], 2):
         changes[name] = MaskedColumn(made.values[i] / MAS, mask=blank)
         changes[f"{name}_error"] = MaskedColumn(made.errors[i] / MAS, mask=blank)
@@ -64,10 +71,8 @@ def test_rows_of_vlbi_in_hours_with_mjd_and_seconds_of_time_whose_errors_need_a_
     row = {"star": ["HR 1099"], "mjd": [57388.5], "ra": ["12:00:00.0"], "dec": ["-00:30:00"], "e_ra": [1e-5]}
     Table(row | {"e_dec": [2e-4]}, units={"e_ra": "s", "e_dec": "arcsec"}).write(tmp_path / "vlbi.ecsv")
     found = read_table(tmp_path / "vlbi.ecsv").astrometry
-    assert found.values[0, 0] == pytest.approx(np.pi)
-    assert found.values[1, 0] == pytest.approx(-0.5 * DEGREE)
-    assert found.errors[0, 0] == pytest.approx(0.15 * MAS * np.cos(0.5 * DEGREE))
-    assert found.errors[1, 0] == pytest.approx(0.2 * MAS)
+    np.testing.assert_allclose(found.values[:2, 0], [np.pi, -0.5 * DEGREE], rtol=1e-9)
+    np.testing.assert_allclose(found.errors[:2, 0], np.array([0.15 * np.cos(0.5 * DEGREE), 0.2]) * MAS, rtol=1e-9)
     assert found.epoch[0] == pytest.approx(2016.0, abs=1e-3)
     assert list(kinds(found)) == ["single epoch"]
     mean = read_table(tmp_path / "vlbi.ecsv", TableOptions(positions="mean")).astrometry
@@ -89,11 +94,8 @@ def test_matching_by_name_and_by_position_with_proper_motion(tmp_path):
     order = np.array([4, 2, 0])
     other = replace(made, values=moved, epoch=made.epoch - 20.0).taken(order)
     right = read_table(gaia(tmp_path / "b.ecsv", other))
-    by_position = match(left, right, "position:0.5")
-    np.testing.assert_array_equal(by_position.source, order)
-    np.testing.assert_array_equal(match(left, right, "position:0.3").source, order[:1])
-    by_name = match(left, right, "source_id")
-    np.testing.assert_array_equal(by_name.source, [0, 1, 2])
+    for by, expected in (("position:0.5", order), ("position:0.3", order[:1]), ("source_id", [0, 1, 2])):
+        np.testing.assert_array_equal(match(left, right, by).source, expected)
 
 
 def test_the_dataset_states_its_epoch_units_spins_by_bins_and_large_shares(tmp_path):
@@ -138,8 +140,7 @@ def test_the_galactic_aberration_carries_the_icrf(tmp_path):
 def test_rows_far_from_the_source_of_their_name_are_said_and_refused(tmp_path):
     made = stars(6)
     satellite = gaia(tmp_path / "sat.ecsv", made)
-    names = np.arange(6) + 10**17
-    wrong = gaia(tmp_path / "wrong.ecsv", made, source_id=names[[0, 1, 2, 4, 3, 5]])
+    wrong = gaia(tmp_path / "wrong.ecsv", made, source_id=10**17 + np.array([0, 1, 2, 4, 3, 5]))
     with pytest.raises(SweepError, match=r"row 4, 5 of wrong.ecsv: up to .*0004 is where 1\d*0003 is.* are names exch"):
         tie(satellite, wrong)
     halves = gaia(tmp_path / "halves.ecsv", made, ra=made.values[0] / DEGREE / 2.0)
@@ -173,13 +174,11 @@ def test_a_correlation_that_is_not_there_is_said(tmp_path, lost, way):
     assert not read_table(tmp_path / "whole.csv").notes
 
 
-@pytest.mark.parametrize(
-    ("unit", "digits"), [("deg", 7), ("deg", 6), ("arcsec", 3), ("hms", 4), ("rad", 9), ("deg", 12), ("hms", 8)]
-)
+@pytest.mark.parametrize(("unit", "digits"), WRITTEN)
 def test_positions_that_lost_digits_are_said(tmp_path, unit, digits):
     table = gaia_table(stars(40))
-    ra, dec = Angle(table["ra"], "deg"), Angle(table["dec"], "deg")
-    for name, angle in (("ra", ra), ("dec", dec)):
+    for name in ("ra", "dec"):
+        angle = Angle(table[name], "deg")
         if unit == "hms":
             form = {"unit": "hourangle" if name == "ra" else "deg", "sep": ":", "precision": digits, "pad": True}
             table[name] = angle.to_string(**form)
@@ -191,27 +190,12 @@ def test_positions_that_lost_digits_are_said(tmp_path, unit, digits):
     assert [note[:3] for note in lost] == (["ra ", "dec"] if digits < 8 or unit == "rad" else [])
 
 
-WHEN = Time([1991.25, 2016.0, 2030.4], format="jyear", scale="tdb")
-
-
-TEXTS = [f"{text}Z" for text in WHEN.isot], [f"J{y}" for y in WHEN.jyear], [f"B{y:.6f}" for y in WHEN.byear]
-EXACTLY = [(when, 1e-6) for when in (WHEN.jyear, WHEN.mjd, WHEN.jd, WHEN)]
-
-
-TIMES = [("fits", Time(WHEN.jyear, format="jyear", scale=scale), 0.01) for scale in ("tcb", "tai")]
-FORMS = [*EXACTLY, *((text, 0.01) for text in (*TEXTS, WHEN.datetime64))]
-
-
 @pytest.mark.parametrize(("ending", "epoch", "days"), [*(("ecsv", *form) for form in FORMS), *TIMES])
 def test_epochs_in_every_form_are_those_of_astropy(tmp_path, ending, epoch, days):
     columns = {"ra": [10.0, 20.0, 30.0], "dec": [0.0] * 3, "ra_error": [1.0] * 3, "dec_error": [1.0] * 3}
     Table(columns | {"epoch": epoch}).write(tmp_path / f"t.{ending}")
     found = read_table(tmp_path / f"t.{ending}").astrometry.epoch
     np.testing.assert_allclose(found, WHEN.jyear, rtol=0.0, atol=days / 365.25)
-
-
-VIZIER = ("RA", "DE", "Plx", "pmRA", "pmDE")
-POSITIONS = [("RA_ICRS", "DE_ICRS", "tsv"), ("_RA.icrs", "_DE.icrs", "vot"), ("RAJ2000", "DEJ2000", "ecsv")]
 
 
 @pytest.mark.parametrize(("ra", "dec", "form"), [*POSITIONS, ("_RAJ2000", "_DEJ2000", "tsv")])
