@@ -16,6 +16,7 @@ import warnings
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from contextvars import copy_context
 from dataclasses import replace
 from itertools import count, islice
 from multiprocessing.connection import Connection, wait
@@ -537,7 +538,8 @@ def threads(reference: str, workers: int, limits: Limits = NO_LIMITS) -> Iterato
         while True:
             # One job more than threads, so that none waits while the results of another are used.
             for job in take(workers + 1 - under_way):
-                todo.put((job, done))
+                # A new thread has none of the context variables that are set here.
+                todo.put((job, copy_context().run, job.task(limits, 0.0), done))
                 under_way += 1
             if not under_way:
                 return
@@ -548,9 +550,9 @@ def threads(reference: str, workers: int, limits: Limits = NO_LIMITS) -> Iterato
             yield job, result
 
     def work() -> None:
-        for job, done in iter(todo.get, None):
+        for job, in_context, task, done in iter(todo.get, None):
             try:
-                done.put((job, worker.compute(job.task(limits, 0.0)), None))
+                done.put((job, in_context(worker.compute, task), None))
             except BaseException as error:  # raised again in the thread of the run
                 done.put((job, None, error))
 

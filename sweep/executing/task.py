@@ -2,6 +2,7 @@
 and code, which are compared before a run and with every task.
 """
 
+import decimal
 import platform
 import traceback
 from collections import Counter
@@ -99,7 +100,8 @@ class Task:
     ``repeatable`` experiment is to return the same results whenever it is called: it is called again at its first
     point, by the same process only where that took at most ``at_once_s`` seconds.  With ``caught`` false what it raises
     is raised, and what it prints is printed.  ``keep`` takes all outcomes, to write what is large, before they are
-    sent.
+    sent.  ``errors`` of NumPy and ``decimals`` are treated as in the thread of the run, since each thread has its own
+    setting.
     """
 
     experiment_reference: str
@@ -113,6 +115,8 @@ class Task:
     at_once_s: float = float("inf")
     caught: bool = True
     keep: Keep = dict
+    errors: Mapping[str, Any] = field(default_factory=np.geterr)
+    decimals: decimal.Context = field(default_factory=decimal.getcontext)
 
     def seed_of(self, unit: PointBlock) -> int:
         """Return where the global generators of a process start for a unit: apart from its own generators."""

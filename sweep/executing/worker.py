@@ -142,16 +142,16 @@ def captured() -> Iterator[Captured]:
 
 
 @contextmanager
-def undisturbed(seed: int) -> Iterator[None]:
+def undisturbed(task: Task, seed: int) -> Iterator[None]:
     """Run code of an experiment in a captured thread so that no point depends on the one before it, as far as that is
     cheap: the generators of NumPy and Python for a process start from a ``seed``, and what is set for the arithmetic of
-    NumPy and of decimals ends with this block, as does a process that is forked in it.
+    NumPy and of decimals is as in the ``task`` and ends with this block, as does a process that is forked in it.
     """
     parent = os.getpid()
     np.random.seed(seed)  # noqa: NPY002 (for code that draws from it, although it should not)
     random.seed(seed)
     try:
-        with np.errstate(), decimal.localcontext():
+        with np.errstate(**task.errors), decimal.localcontext(task.decimals):
             yield
     except BaseException as error:
         if os.getpid() != parent:  # as Python ends: with the code of `sys.exit`, or with 1 and a traceback
@@ -367,9 +367,9 @@ class _Computing:
         """Return what a call for so many points returns or raises, unless that is an interruption; in another ``turn``
         the generators of the process start elsewhere.
         """
-        limit = self.task.time_limit_s
+        task, limit = self.task, self.task.time_limit_s
         try:
-            with undisturbed(self.task.seed_of(unit) ^ turn), self._deadlines.within(limit and limit * points):
+            with undisturbed(task, task.seed_of(unit) ^ turn), self._deadlines.within(limit and limit * points):
                 return call()
         except BaseException as error:  # a point that fails, or leaves with sys.exit, must not take others with it
             if is_interruption(error):

@@ -3,7 +3,9 @@
 import json
 import random
 import time
+from contextvars import ContextVar
 from dataclasses import replace
+from decimal import Context, Decimal, localcontext
 from pathlib import Path
 
 import numpy as np
@@ -52,6 +54,21 @@ def test_each_point_has_the_time_that_it_took(tmp_path, pool):
     assert both.wall_time.sel(x=0.01) >= 0.01
     assert xr.open_zarr(store).load().wall_time.equals(both.wall_time)
     assert not check(store)
+
+
+STEP = ContextVar("STEP", default=1.0)
+
+
+@pytest.mark.parametrize("pool", ["serial", "threads", slow("processes")])
+def test_what_is_set_in_the_thread_of_a_run_holds_wherever_it_computes(tmp_path, pool):
+    def f(x: int):
+        return {"a": STEP.get(), "b": str(Decimal(x) / 7), "c": np.geterr()["under"]}
+
+    token = STEP.set(2.0)
+    with localcontext(Context(prec=4)), np.errstate(under="raise"):
+        ds = linksweep.run(f, tmp_path / "s.zarr", axes={"x": [1, 2]}, pool=pool)
+    STEP.reset(token)
+    assert [ds[name].values.tolist() for name in "abc"] == [[2.0, 2.0], ["0.1429", "0.2857"], ["raise", "raise"]]
 
 
 def test_blocks_add_up_whoever_computed_them(tmp_path):
