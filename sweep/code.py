@@ -1007,6 +1007,11 @@ def _reach(value: Any) -> Reach:
     return reached
 
 
+def files_read(reference: str) -> dict[str, Path]:
+    """Return the data files that a loaded reference declares, by name."""
+    return _read_by(_find(reference))
+
+
 def _read_by(value: Any) -> dict[str, Path]:
     """Return the data files that a function declares, by name; raises SweepError for one that is not there."""
     folder = Path(getattr(sys.modules.get(getattr(value, "__module__", "")), "__file__", None) or "x").parent

@@ -163,7 +163,7 @@ Kind = Literal["float", "int", "str", "bool", "any", "object", "vector", "map", 
 LABEL = "label"
 
 # Names that the platform uses in every dataset or store.
-RESERVED = ("status", "wall_time", "n_sim_done", "sample", "code", "blocks", "failures", "realisations")
+RESERVED = ("status", "wall_time", "n_sim_done", "sample", "code", "blocks", "failures", "realisations", "zarr.json")
 
 TAKEN = "the platform gives this name in every dataset; take another"
 GOOD_NAME = re.compile(r"[^\W\d][\w.-]{0,99}")

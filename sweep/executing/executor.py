@@ -20,6 +20,7 @@ from contextvars import copy_context
 from dataclasses import replace
 from itertools import count, islice
 from multiprocessing.connection import Connection, wait
+from pickle import UnpicklingError
 from queue import SimpleQueue
 from threading import Thread
 from typing import IO, Any
@@ -220,7 +221,7 @@ class Children:
             if (answer := child.channel.recv()) is not None:
                 trial.take(answer)
                 return
-        except (EOFError, OSError):
+        except (EOFError, OSError, UnpicklingError):  # the last where a function has broken what pickle uses
             trial.after_death(child.death(trial.task.time_limit_s, self._limits.memory))
             [self._children[place]] = self._started(1)
         else:

@@ -153,7 +153,7 @@ class Failure:
             return cls("exception", str(error))
         try:
             text = str(error)
-        except Exception as unsaid:  # whatever a class of the user's raises
+        except (Exception, SystemExit) as unsaid:  # whatever a class of the user's raises
             text = f"its message cannot be made: {type(unsaid).__name__}"
         return cls("exception", f"{type(error).__name__}{f': {text}' if text else ''}", trace)
 

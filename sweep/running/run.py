@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from linksweep.sweep.code import as_recorded_where_unsteady, code_differences, code_of
+from linksweep.sweep.code import as_recorded_where_unsteady, code_differences, code_of, digest_of, files_read
 from linksweep.sweep.contract import Experiment, Named, Rows, Status, SweepError, Unknown, shown
 from linksweep.sweep.contract.rows import DIGEST_BYTES, Block, ledger_key, lost_integers
 from linksweep.sweep.executing.executor import choose_executor
@@ -226,19 +226,12 @@ BLOCK = "block"
 KEPT = ("merged", "started", REFINED)
 
 
-# The name in a store that is not that of an array.
-RESERVED = "blocks"
-
-
 def find_store(where: Where, study: Study, keep: bool = False) -> OpenStore | None:
     """Return the store at a place, None where the place is free.
 
     Raises SweepError where something else is there, or results that cannot be mixed with this study's; with ``keep``
     other values of its constants can be.
     """
-    outputs = (output.name for output in (*study.experiment.outputs, *study.experiment.sample_outputs))
-    if RESERVED in {*study.axes, *study.experiment.coordinates, *outputs}:
-        raise SweepError(f"no axis or result can be named {RESERVED}: a store has a group of that name")
     opened = store_at(where)
     if opened is None:
         return None
@@ -360,6 +353,9 @@ class Writer:
         done = np.flatnonzero(accumulator.status == Status.DONE)
         for start in range(0, len(done), AT_ONCE):
             self._refuse_results(done[start : start + AT_ONCE].tolist())
+        self._files = files_read(plan.grid.study.experiment_reference) if CODE in store.attributes else {}
+        self._stamps: dict[str, float] = {}
+        self._steady = store.next_row
         self._lock = RLock()  # of the store
         self._unflushed = False
         self._problem: Exception | None = None
@@ -547,9 +543,33 @@ class Writer:
         with self._lock:
             if self._problem is not None:
                 raise self._problem
+            changed = self._changed_file()
             self.store.flush()
             self._unflushed = False
             self._flushed = time.monotonic()
+            if changed:
+                why = "has changed during the run, and what was computed meanwhile is of either version"
+                raise SweepError(
+                    f'{changed} {why}: --redo old (redo="old") computes that again', str(self.store.location)
+                )
+
+    def _changed_file(self) -> str:
+        """Return a data file that the function declares and that is not as it was when the run began; what was taken
+        since it was last so counts as made by other code.
+        """
+        for name, file in self._files.items():
+            stamp = file.stat().st_mtime if file.is_file() else 0.0
+            records, part = records_of(self.store.attributes), f"file {name}"
+            content = file.read_bytes() if stamp not in (0.0, self._stamps.get(name)) else None
+            if stamp and (content is None or digest_of(content) == records[-1]["code"][part]):
+                self._stamps[name] = stamp
+                continue
+            code = {**records[-1]["code"], part: "as it was while a run went on"}
+            self.store.record({CODE: json.dumps([*records, {"first_row": self._steady, "code": code}])})
+            self._files = {}  # it is said once
+            return name
+        self._steady = self.store.next_row
+        return ""
 
     def _flush_late(self) -> None:
         while not self._ended.wait(TUNED.latest_flush_s):

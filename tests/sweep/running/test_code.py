@@ -289,6 +289,33 @@ def test_what_has_no_canonical_form_is_named_once_and_declared_files_count(tmp_p
     assert (code, "file k.csv has changed" in err) == (2, True)
 
 
+CHANGES_ITS_FILE = """
+from pathlib import Path
+import linksweep
+FILE, ONCE = (Path(__file__).parent / name for name in ("k.csv", "once"))
+@linksweep.experiment(reads=["k.csv"])
+def f(x: float):
+    if x == 3 and not ONCE.exists():
+        ONCE.touch()
+        FILE.write_text("100")
+    return x * float(FILE.read_text())
+"""
+
+
+@pytest.mark.parametrize("then", [1, 100])
+def test_a_declared_file_that_changes_during_a_run_mixes_nothing(tmp_path, sweep, then):
+    (tmp_path / "m.py").write_text(CHANGES_ITS_FILE)
+    (tmp_path / "k.csv").write_text("1")
+    run = "run", "m.py:f", "--axis", "x=1:6:1", "-o", "s.zarr", "--pool", "serial"
+    for said in ("k.csv has changed during the run", "file k.csv has changed"):
+        code, _, err = sweep(*run, cwd=tmp_path)
+        assert (code, said in err) == (2, True), err
+        (tmp_path / "k.csv").write_text(str(then))
+    assert sweep(*run, "--redo", "old", cwd=tmp_path)[0] == 0
+    found = linksweep.open(tmp_path / "s.zarr")
+    np.testing.assert_array_equal(found.f, then * found.x)
+
+
 @pytest.mark.slow
 def test_a_value_that_each_process_has_otherwise_is_named_and_refuses_nothing(tmp_path, start_sweep):
     text = "import time\nSTART, K = time.time_ns(), 2.0\ndef f(x: float):\n    return K * x if START else 0.0\n"
