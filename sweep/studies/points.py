@@ -585,7 +585,8 @@ def columns_of(table: Mapping[str, Any]) -> tuple[dict[str, list[Any]], dict[str
             units[str(name)] = str(unit)
         numbers, mask = getattr(column, "unmasked", column), getattr(column, "mask", False)
         cells = np.ma.masked_array(numbers.value, mask) if is_quantity(column) else column
-        columns[str(name)] = list(np.atleast_1d(np.ma.asarray(cells)).tolist())
+        some = np.atleast_1d(np.ma.asarray(cells)).tolist()
+        columns[str(name)] = [cell.decode() if isinstance(cell, bytes) else cell for cell in some]
     return columns, units
 
 
@@ -597,11 +598,12 @@ def _in_units(columns: Cells, units: Mapping[str, str], values: Values, where: K
             unit, theirs = values.experiment.parameter(name).unit, units.get(name, "")
             if name not in columns:
                 raise ValueError("has a unit, but is no column")
-            cells: list[Any] = [cell.decode() if isinstance(cell, bytes) else cell for cell in columns[name]]
+            cells = columns[name]
             missing = np.array([cell is None or cell != cell for cell in cells], dtype=bool)  # noqa: PLR0124
             if missing.any() and not (parameter := values.experiment.parameter(name)).optional and not parameter.when:
                 raise ValueError(f"has no value in row {rows_listed(missing)}")
-            if (factor := factor_between(theirs, unit) if theirs else 1.0) is None:
+            factor = factor_between(theirs, unit) if theirs else 1.0
+            if factor is None or (factor != 1.0 and Named in map(type, cells)):
                 raise ValueError(
                     f"its column is in {theirs}, and the parameter {f'is in {unit}' if unit else 'has no unit'}"
                 )
@@ -678,8 +680,11 @@ def labelled(value: Any, label: str = "") -> Named:
 def plain_values(values: Any, where: str) -> Any:
     """Return the values of an axis or a column as a study has them: numbers and texts, and others as objects."""
     if isinstance(values, Mapping):
-        is_range = bool(values.keys() & {"start", "values"})
-        return plain(values, where) if is_range else [plain_value(one, where, label) for label, one in values.items()]
+        if values.keys() & {"start", "values"}:
+            return {key: plain_values(one, f"{where}.{key}") for key, one in values.items()}
+        return [plain_value(one, where, label) for label, one in values.items()]
+    if getattr(values, "ndim", 1) > 1:
+        values = list(np.asanyarray(values))  # each an object
     kind = getattr(getattr(values, "dtype", None), "kind", "O")
     if kind in PLAIN or isinstance(values, str | bytes | set | frozenset | Iterator | range) or is_quantity(values):
         return plain(values, where)
@@ -752,12 +757,12 @@ def plain_points(points: Any) -> dict[str, Any]:
                 return dict(plain(points, "points"))
             whole = {str(name): plain_values(column, f"points.{name}") for name, column in columns.items()}
             return {**plain({**points, "columns": {}}, "points"), "columns": whole}
-        quantities, units = columns_of({name: column for name, column in points.items() if is_quantity(column)})
-        columns = {
-            str(name): plain_values(quantities.get(name, column), f"points.{name}") for name, column in points.items()
-        }
-    elif hasattr(points, "colnames"):
-        columns, units = columns_of({name: points[name] for name in points.colnames})
+    if isinstance(points, Mapping) or hasattr(points, "colnames"):
+        table = {str(name): points[name] for name in getattr(points, "colnames", points)}
+        known = [name for name, one in table.items() if is_quantity(one) or hasattr(points, "colnames")]
+        cells, units = columns_of({name: table[name] for name in known})
+        table |= {name: some for name, some in cells.items() if not some or not isinstance(some[0], list)}
+        columns = {name: plain_values(one, f"points.{name}") for name, one in table.items()}
     elif hasattr(points, "columns") and hasattr(points, "to_dict"):
         if points.index.names != [None] or points.index.tolist() != list(range(len(points))):
             before, points = set(points), points.reset_index(allow_duplicates=True)

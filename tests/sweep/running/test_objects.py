@@ -11,6 +11,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+import xarray as xr
+from astropy.table import Column, Table
 from hypothesis import given, settings, strategies as st
 
 import linksweep
@@ -364,6 +366,19 @@ def test_tuples_of_a_table_with_labels_stay_tuples(tmp_path):
     table = {"x": things, "w": list("abcd")}
     ds = linksweep.run(lambda x: repr(x) + "", tmp_path / "s.zarr", points=table, labels="w", pool="serial")
     assert ds.result.values.tolist() == [repr(thing) for thing in things]
+
+
+ROWS = np.array([[0.0, 1.0], [2.0, 3.0]])
+
+
+@pytest.mark.parametrize(
+    "rows", [ROWS, xr.DataArray(ROWS), pd.DataFrame(ROWS), np.ma.array(ROWS), Column(ROWS)], ids=type
+)
+def test_rows_of_an_array_are_arrays_as_one_by_one(rows, tmp_path):
+    places = ({"axes": {"p": rows}}, {"axes": {"p": {"values": rows}}}, {"points": {"p": rows}})
+    for place in (*places, {"points": {"columns": {"p": rows}}}, {"points": Table({"p": rows})}):
+        ds = linksweep.run(lambda p: float(np.max(p * 2)), tmp_path / "s.zarr", pool="serial", fresh=True, **place)
+        assert ds.result.values.tolist() == [2.0, 6.0], place
 
 
 def test_what_has_no_label_of_its_own_in_a_store_is_refused_before_it_is_there(tmp_path, sweep):
