@@ -32,8 +32,8 @@ LEVELLING_POINTS = 4  # the fewest for the levelling law, which has three parame
 DEVIATION_ALLOWED = 3.0  # an exponent may deviate from the expected one by this many of its errors
 P_VALUE_ALLOWED = 1e-3  # a law is said not to hold if the probability of its chi2 is lower
 EXCLUDED = "excluded by the study"
-SIGMAS = 2.0  # errors of crossings are made so that the truth is within this many of them as often as for a normal law
-RATE_WANTED = 2.0  # a levelling off is significant if its rate is more than this many errors above 0
+# Errors of crossings and plateaus are made so that the truth is within this many of them as often as for a normal law.
+SIGMAS = 2.0
 # A law is judged only if the errors that points do not share are this many times the neglected second order.
 FIRST_ORDER = 5.0
 STARTS = (0.5, 2.0, 6.0)  # first guesses of the rate, times the range of the points; the best fit is kept
@@ -317,8 +317,8 @@ def fit_levelling(
     Returns:
         A dataset over the other axes with the variables ``plateau``, ``rate``, ``end_fall`` (relative, per unit of the
         axis, at the last point) and ``limit`` (beyond it the variable falls by less than ``fall`` per unit; -inf:
-        everywhere, inf: nowhere), with ``_error``, and ``chi2``, ``dof``, ``p_value``, ``points``.  Errors are
-        multiplied by sqrt(chi2/dof) if that is above one.
+        everywhere, inf: not yet at the last point, and the law has no plateau), with ``_error``, and ``chi2``, ``dof``,
+        ``p_value``, ``points``.  Errors are multiplied by sqrt(chi2/dof) if that is above one.
 
     Raises:
         SweepError: for an unknown variable or axis, points that are not done, numbers that are not above 0, and a fit
@@ -337,7 +337,7 @@ def fit_levelling(
     made = lines(dataset, variable, over, covariance, least=LEVELLING_POINTS)
     rows = _fitted(made, lambda x, y, errors, samples: levelling(x, y, errors, fall, samples))
     for row, line in zip(rows, made.lines, strict=True):
-        row["conclusion"] = _levelling_in_words(row, line.x[-1], made.over_unit) if row["points"] else EXCLUDED
+        row["conclusion"] = _levelling_in_words(row, line.x, made.over_unit) if row["points"] else EXCLUDED
     formula = f"{variable}^2 = plateau^2 + c exp(-rate x {over}); errors are scaled where chi2 > dof"
     shown = ["plateau", "p_value", "points", "chi2", "dof", "conclusion"]
     return made.dataset(rows, shown, _notes(formula, made, rows), law="levelling", fall=fall)
@@ -728,7 +728,8 @@ def power_law(x: Array, y: Array, errors: Array, samples: float = np.inf) -> dic
 def levelling(x: Array, y: Array, errors: Array, fall: float, samples: float = np.inf) -> dict[str, Any]:
     """Return the law that levels off, y^2 = plateau^2 + c exp(-rate x), and where it falls by the fraction ``fall`` per
     unit of x: `MEANINGS` has what these numbers are.  ``plateau`` is NaN where the points do not level off; ``limit``
-    is -inf if y falls by less everywhere, inf if nowhere, and may lie beyond the points.
+    is -inf if y falls by less everywhere, inf if it falls by more at the end and does not level off, and may lie beyond
+    the points.
 
     ``x`` (n,) ascends, ``y`` (n,) is positive, n at least 4; ``errors`` and ``samples`` are as in `power_law`.  Unless
     all errors are known, those of the law come from the scatter.  They are scaled up if points are farther from the law
@@ -772,16 +773,22 @@ def levelling(x: Array, y: Array, errors: Array, fall: float, samples: float = n
 
     def derived(parameters: Array) -> Array:
         start, end, rate = np.exp(parameters[0]), np.exp(parameters[1]), parameters[2]
-        floor = float(start + (end - start) / -np.expm1(-rate)) if rate > 0.0 else np.nan  # what y^2 tends to
-        plateau = scale * np.sqrt(floor) if floor > 0.0 else np.nan
-        limit = first + length * _limit(start, end, rate, floor, fall * length)
-        return np.array([plateau, rate / length, 0.5 * (start - end) / end / exprel(rate) / length, limit])
+        floor = max(start + (end - start) / -np.expm1(-rate), 0.0) if rate > 0.0 else 0.0  # what y^2 tends to
+        end_fall = 0.5 * (start - end) / end / exprel(rate) / length
+        limit = np.inf if end_fall > fall else -np.inf
+        if floor > 0.0 and end < start and rate / length > 2.0 * fall:  # its fall is rate/2 before the plateau counts
+            limit = first + length * np.log((start - floor) / floor * (0.5 * rate / length / fall - 1.0)) / rate
+        return np.array([scale * np.sqrt(floor), rate / length, end_fall, limit])
 
     values = derived(best)
     with np.errstate(invalid="ignore"):
         jacobian = approx_fprime(best, derived)
-        sigmas = np.sqrt(np.einsum("ij,jk,ik->i", jacobian, spread, jacobian))
-    sigmas = np.where(np.isfinite(values), sigmas, np.nan)
+        # Each is computed at both ends of its own interval, as the first order is far too small for a plateau near 0.
+        steps = SIGMAS * jacobian @ spread / np.sqrt(np.einsum("ij,jk,ik->i", jacobian, spread, jacobian))[:, None]
+        ends = np.array([np.diag([derived(best + sign * step) for step in steps]) for sign in (-1.0, 1.0)])
+        sigmas = np.abs(ends - values).max(axis=0) / SIGMAS
+    values[0] = values[0] or np.nan
+    sigmas = np.where(np.isfinite(values + sigmas), sigmas, np.nan)
     judged = known and not np.isnan(samples)
     chi2 = _chi2(misfit(best), slopes, covariance, relative, samples) if judged else np.nan
     law: dict[str, Any] = {}
@@ -834,37 +841,26 @@ def _chi2(residual: Array, design: Array, covariance: Array, relative: Array, sa
     return float(residual @ rest @ np.linalg.solve(free, rest.T @ residual))
 
 
-def _limit(start: float, end: float, rate: float, floor: float, fall: float) -> float:
-    """Return the z where -d ln y / dz is ``fall``: rate/2 c t / (floor + c t) with t = exp(-rate z)."""
-    if end >= start:
-        return -np.inf
-    if not floor > 0.0:
-        return np.inf
-    if rate <= 2.0 * fall:
-        return -np.inf
-    return float(np.log((start - floor) * (0.5 * rate / fall - 1.0) / floor) / rate)
-
-
 # Words
 
 
 def _place_on(x: Array, place: float, error: float) -> str:
     """Return a place between the points of an axis with its error, or with two digits of the step around it."""
-    after = np.searchsorted(x, place)
-    return with_error(place, error, float(np.ptp(x[max(after - 1, 0) : after + 1])))
+    after = np.clip(np.searchsorted(x, place), 1, len(x) - 1)
+    return with_error(place, error, float(x[after] - x[after - 1]))
 
 
-def _levelling_in_words(row: Mapping[str, float], last: float, unit: str) -> str:
+def _levelling_in_words(row: Mapping[str, float], x: Array, unit: str) -> str:
     limit = row["limit"]
     if limit == -math.inf:
         return "falls by less everywhere"
-    if not math.isfinite(limit):
-        return "no plateau: falls by more everywhere"
-    place = f"{with_error(limit, row['limit_error'])} {unit}".rstrip()
-    words = f"falls by less from {place}" if limit <= last else f"no plateau yet: not before {place}, by the law"
     per = f" per {unit}" if unit else ""
     end = f"at the end it falls by {with_error(100.0 * row['end_fall'], 100.0 * row['end_fall_error'])} %{per}"
-    doubt = [] if row["rate"] > RATE_WANTED * row["rate_error"] else ["the levelling off is not significant"]
+    if limit == math.inf:
+        return f"no plateau; {end}"
+    place = f"{_place_on(x, limit, row['limit_error'])} {unit}".rstrip()
+    words = f"falls by less from {place}" if limit <= x[-1] else f"no plateau yet: not before {place}, by the law"
+    doubt = [] if row["plateau"] > SIGMAS * row["plateau_error"] else ["the levelling off is not significant"]
     return "; ".join([words, end, *doubt])
 
 

@@ -127,7 +127,7 @@ def levelled(seed, quality=1.0):
     x = first + length * np.linspace(0.0, 1.0, int(rng.integers(9, 15)))
     rate = rng.uniform(2.0, 4.0) / length
     truth = rng.uniform(0.4, 2.0), np.exp(rate * first) * rng.uniform(2.0, 5.0), rate
-    relative = rng.uniform(0.004, 0.008, len(x))
+    relative = rng.uniform(4e-5, 8e-5, len(x))  # so small that the first order is all
     y = level(x, *truth) * np.exp(quality * relative * rng.standard_normal(len(x)))
     return x, y, relative, truth
 

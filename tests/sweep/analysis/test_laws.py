@@ -251,9 +251,17 @@ def test_the_errors_of_the_levelling_law_cover_the_truth():
         assert abs(np.median(pulls)) < 0.25, name  # 1.25/sqrt(400) = 0.06, and a little bias of a law that bends
 
 
+@pytest.mark.parametrize(("floor", "rate"), [(0.35, 0.05), (0.0, 0.3)])
+def test_a_plateau_that_points_do_not_reach_is_within_its_errors(floor, rate):
+    y = law(V, floor, 1.1, rate) * (1.0 + 0.02 * np.random.default_rng(25).standard_normal((40, len(V))))
+    pulls = ((found := level_off(y, 0.02 * y))["plateau"] - floor) / found["plateau_error"]
+    assert np.mean(np.abs(pulls.values[np.isfinite(pulls)]) <= 2.0) > 0.85  # binomial error of some 20: 5 %
+    assert set(found["conclusion"].str.contains("no plateau;|everywhere|not significant").values) == {True}
+
+
 def test_what_does_not_level_off_says_so():
-    bent = np.sqrt(2.0 - ((V - 14.0) / 6.0) ** 2), 1e-6, ("no plateau: falls by more everywhere", np.inf)
-    straight = np.sqrt(1.0 + 0.1 * (V - 14.0)), 0.05, ("falls by less everywhere", -np.inf)
-    for y, fall, expected in (bent, straight):
+    bent = np.sqrt(2.0 - ((V - 14.0) / 6.0) ** 2), 1e-6, ("no plateau; at the end it falls by 19", np.inf)
+    straight = [(np.sqrt(1.0 + slope * (V - 14.0)), 0.05, ("falls by less", -np.inf)) for slope in (0.1, -0.01)]
+    for y, fall, expected in (bent, *straight):
         found = level_off(y, 1e-6 * y, fall).isel(model=0)
-        assert (found["conclusion"].item(), found["limit"].item()) == expected
+        assert (found["conclusion"].item()[: len(expected[0])], found["limit"].item()) == expected
