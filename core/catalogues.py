@@ -7,7 +7,6 @@ import itertools
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -89,8 +88,8 @@ class Catalogue:
             sigma, correlation = errors
             return OwnErrors(function(sigma), None if correlation is None else function(correlation))
 
-        ra, dec, pmra, pmdec, v_mag = map(function, (self.ra, self.dec, self.pmra, self.pmdec, self.v_mag))
-        return Catalogue(ra, dec, pmra, pmdec, v_mag, *map(mapped, (self.errors, self.reference, self.satellite)))
+        columns = map(function, (self.ra, self.dec, self.pmra, self.pmdec, self.v_mag))
+        return Catalogue(*columns, *map(mapped, (self.errors, self.reference, self.satellite)))
 
 
 @dataclass(frozen=True)
@@ -267,11 +266,9 @@ class Synthetic(CatalogueKind):
         v_mag = rng.uniform(*self.magnitudes(point), n_obj)
         # drawn for constant moduli too, so that directions do not change with the distribution
         uniform = rng.random(n_obj)
-        modulus = {
-            "uniform": 2.0 * uniform,
-            "constant": np.ones(n_obj),
-            "rayleigh": np.sqrt(-4.0 / np.pi * np.log1p(-uniform)),
-        }[point["pm_distribution"]] * (point["mean_pm"] * MAS)
+        moduli = {"uniform": 2.0 * uniform, "constant": np.ones(n_obj)}
+        moduli["rayleigh"] = np.sqrt(-4.0 / np.pi * np.log1p(-uniform))
+        modulus = moduli[point["pm_distribution"]] * (point["mean_pm"] * MAS)
         direction = rng.uniform(0.0, 2.0 * np.pi, n_obj)
         return Catalogue(ra, dec, modulus * np.sin(direction), modulus * np.cos(direction), v_mag)
 
@@ -303,10 +300,8 @@ def quasar_count(v_max: float, completed: bool = False) -> int:
     12.8 <= v_max <= 20.
     """
     if not BRIGHTEST_MAG <= v_max <= V_MAX[-1]:
-        raise ValueError(
-            f"v_max = {v_max:g} mag is outside the quasar counts: the brightest object has V = {BRIGHTEST_MAG}, "
-            f"the counts end at V = {V_MAX[-1]:g}"
-        )
+        said = f"v_max = {v_max:g} mag is outside the quasar counts: the brightest object has V = {BRIGHTEST_MAG},"
+        raise ValueError(f"{said} the counts end at V = {V_MAX[-1]:g}")
     log_count = np.log(COUNT)
     # np.interp holds the first value below the table, where the counts go on with the first slope
     below = min(0.0, v_max - V_MAX[0]) * (log_count[1] - log_count[0]) / (V_MAX[1] - V_MAX[0])
@@ -660,13 +655,11 @@ def _between(key: tuple[Any, ...], v_min: float | None, v_max: float | None) -> 
     return (whole if len(rows) == len(whole) else whole.take(rows)), rows
 
 
-CATALOGUES: Mapping[str, CatalogueKind] = MappingProxyType(
-    {
-        "synthetic": Synthetic(),
-        "quasars": Quasars(),
-        "galaxies": Galaxies(),
-        "radio-stars": RadioStars(),
-        "file": File(),
-    }
-)
+CATALOGUES: Mapping[str, CatalogueKind] = {
+    "synthetic": Synthetic(),
+    "quasars": Quasars(),
+    "galaxies": Galaxies(),
+    "radio-stars": RadioStars(),
+    "file": File(),
+}
 """The catalogues by the name that a study gives them."""

@@ -230,10 +230,8 @@ class Projected:
             raise LinkError("the projected method needs true errors that equal those in the weights, and no zonal ones")
         worst = float(np.max(neglected(design)))
         if worst > LARGEST_NEGLECT:
-            raise LinkError(
-                f"the projected method would neglect {worst:.2g} of sigma with these errors of the reference: "
-                f"at most {LARGEST_NEGLECT:g}"
-            )
+            said = f"the projected method would neglect {worst:.2g} of sigma with these errors of the reference:"
+            raise LinkError(f"{said} at most {LARGEST_NEGLECT:g}")
         self.design = design
         self.triangle = np.zeros((0, design.columns.shape[2]))
         # R of a matrix from R of its parts: Q is never formed, so memory stays that of a part
@@ -411,9 +409,7 @@ class NormalSums:
         whole, other = (self.total_weight[:, [k]] for k in (along_q, along_p))
         cc_p, cs_p = self.product_sums[:2, :, along_p]
         xy, xz, yz = ss_cs - cs_p, -sc_c, -sc_s
-        return np.array(
-            [[ss_cc + other - cc_p, xy, xz], [xy, ss - ss_cc + cc_p, yz], [xz, yz, whole - ss]],
-        )
+        return np.array([[ss_cc + other - cc_p, xy, xz], [xy, ss - ss_cc + cc_p, yz], [xz, yz, whole - ss]])
 
     def _crossed(self, observable: int) -> Array:
         """Return sum(w q p^T), w the weights of an observable; shape (3, 3, catalogues, rows)."""

@@ -7,7 +7,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from types import MappingProxyType
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -182,10 +181,9 @@ class MagnitudeErrors(ErrorModel):
 
     def at(self, v_mag: Array) -> tuple[Array, Array]:
         """Return the curve at each magnitude."""
-        return (
-            self.scale * self.mission.sigma_pos_mas(v_mag, self.mission_length_yr),
-            self.scale * self.mission.sigma_pm_mas_yr(v_mag, self.mission_length_yr),
-        )
+        sigmas = self.mission.sigma_pos_mas, self.mission.sigma_pm_mas_yr
+        position, motion = (sigma(v_mag, self.mission_length_yr) for sigma in sigmas)
+        return self.scale * position, self.scale * motion
 
     def at_magnitude(self, v_mag: float) -> tuple[float, float]:
         """Return the curve at one magnitude, computed once for all scales: a grid has a million points."""
@@ -211,10 +209,8 @@ class MagnitudeErrors(ErrorModel):
         (brightest, faintest), (low, high) = catalogue.magnitudes(point), self.mission.valid_mag
         if low <= brightest and faintest <= high:
             return None
-        return (
-            f"model = {str(point['model'])!r}: its accuracy curve is known from V = {low:g} to {high:g}, and the "
-            "catalogue has or may have objects beyond, where it is extrapolated or held at its floor"
-        )
+        said = f"model = {str(point['model'])!r}: its accuracy curve is known from V = {low:g} to {high:g}, and the"
+        return f"{said} catalogue has or may have objects beyond, where it is extrapolated or held at its floor"
 
 
 @dataclass(frozen=True)
@@ -267,14 +263,12 @@ class CatalogueErrors(ErrorModel):
         )
 
 
-ERROR_MODELS: Mapping[str, type[ErrorModel]] = MappingProxyType(
-    {
-        "none": ErrorFree,
-        "normal": NormalErrors,
-        "magnitude": MagnitudeErrors,
-        "catalogue": CatalogueErrors,
-    }
-)
+ERROR_MODELS: Mapping[str, type[ErrorModel]] = {
+    "none": ErrorFree,
+    "normal": NormalErrors,
+    "magnitude": MagnitudeErrors,
+    "catalogue": CatalogueErrors,
+}
 """The error models by the name that a study gives them."""
 
 

@@ -70,9 +70,8 @@ def _catalogue_problem(point: Point) -> str | None:
     if problem := kind.why_not(point):
         return problem
     if point["solve_glide"] and scenario.catalogue_size(point) < SMALLEST_GLIDE:
-        return (
-            f"n_obj = {scenario.catalogue_size(point)}: solving for a glide too needs at least {SMALLEST_GLIDE} objects"
-        )
+        size = scenario.catalogue_size(point)
+        return f"n_obj = {size}: solving for a glide too needs at least {SMALLEST_GLIDE} objects"
     if point["aberration"] and not kind.extragalactic:
         return f"aberration: the glide is that of extragalactic objects, not of {point['catalogue']}"
     return None
@@ -88,9 +87,7 @@ def _systematics_problem(point: Point) -> str | None:
     except ValueError as error:
         return f"motion_field = {point['motion_field']!r}: {error}"
     if need_magnitudes and any(map(math.isnan, scenario.catalogue_kind(point).magnitudes(point))):
-        return (
-            "omega_slope and magnitude equations need a magnitude column (v_mag, phot_g_mean_mag, vt_mag) in the file"
-        )
+        return "omega_slope and magnitude equations need magnitudes (v_mag, phot_g_mean_mag, vt_mag) in the file"
     return None
 
 
@@ -137,10 +134,8 @@ def _projected_problem(point: Point, models: Sequence[ErrorModel], errors: Array
             return f"{needs} uncorrelated errors, and those of the {side} are correlated"
     if (largest := errors[0, :, :2].max()) <= LARGEST_PROJECTED_ERROR:
         return None
-    return (
-        f"method = 'projected' takes the reference's positions as exact in the design matrix: an error of "
-        f"{largest:.3g} mas is more than {LARGEST_PROJECTED_ERROR:g} mas"
-    )
+    said = "method = 'projected' takes the reference's positions as exact in the design matrix: an error of"
+    return f"{said} {largest:.3g} mas is more than {LARGEST_PROJECTED_ERROR:g} mas"
 
 
 def warn(point: Point) -> list[str]:
@@ -159,13 +154,10 @@ def _not_measured(errors: Array) -> str | None:
     position, motion = errors[..., :2].any(), errors[..., 2:].any()
     if position == motion:
         return None
-    missing, present, unknowns = (
-        ("proper motions", "positions", "spin") if position else ("positions", "proper motions", "orientation")
-    )
-    return (
-        f"{missing} have no errors on either side while {present} have: they are taken as not measured, and the "
-        f"{unknowns} is not determined (NaN)"
-    )
+    kinds = ("proper motions", "positions", "spin"), ("positions", "proper motions", "orientation")
+    missing, present, unknowns = kinds[0 if position else 1]
+    said = f"{missing} have no errors on either side while {present} have: they are taken as not measured, and the"
+    return f"{said} {unknowns} is not determined (NaN)"
 
 
 def _epochs(point: Point) -> str | None:
@@ -176,10 +168,8 @@ def _epochs(point: Point) -> str | None:
     epochs = read.epochs()
     if read.problems or np.ptp(epochs) <= SAME_EPOCH_YR:  # a problem: not all rows have one
         return None
-    return (
-        f"file: {read.label(EPOCH)} is between {epochs.min():.10g} and {epochs.max():.10g}, and the simulation takes "
-        "all rows as of one epoch; `sweep tie` links rows of different epochs"
-    )
+    said = f"file: {read.label(EPOCH)} is between {epochs.min():.10g} and {epochs.max():.10g}, and the simulation takes"
+    return f"{said} all rows as of one epoch; `sweep tie` links rows of different epochs"
 
 
 def _heaviest(point: Point, errors: Array) -> str | None:

@@ -257,10 +257,8 @@ def require_off_poles(dec: Array, cos_dec: Array) -> None:
 
 def pole_error(item: int, dec: float) -> LinkError:
     """Return the error that names the object at a pole."""
-    return LinkError(
-        f"object {item} is at a celestial pole or, with its error, beyond (dec = {np.degrees(dec)} deg): "
-        "ra is undefined there"
-    )
+    said = f"object {item} is at a celestial pole or, with its error, beyond (dec = {np.degrees(dec)} deg):"
+    return LinkError(f"{said} ra is undefined there")
 
 
 def measured(sigma: Array) -> tuple[bool, bool]:

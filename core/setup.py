@@ -283,17 +283,8 @@ def prepare(scenario: Scenario, catalogue: Catalogue, vectors: Array, shared: Pr
     else:
         sigma, kinds = frames.combined_error(*stated), frames.measured(np.add(*stated))
     glide = [-np.array(scenario.aberration)] if scenario.solve_glide else []
-    return Setup(
-        scenario=scenario,
-        catalogue=catalogue,
-        truth=np.concatenate([*vectors, *glide]),
-        differences=_differences(scenario, catalogue, vectors, shared),
-        reference=reference,
-        satellite=satellite,
-        sigma=sigma,
-        measured=kinds,
-        stack=stack,
-    )
+    truth, differences = np.concatenate([*vectors, *glide]), _differences(scenario, catalogue, vectors, shared)
+    return Setup(scenario, catalogue, truth, differences, reference, satellite, sigma, kinds, stack)
 
 
 def _noise(scenario: Scenario, side: str, catalogue: Catalogue, shared: Prefixes) -> Noise:

@@ -214,16 +214,12 @@ def _draws(
     (catalogue_rng,) = catalogue_rngs
     (directions,) = catalogue_rng.spawn(1)  # spawning leaves the state of the parent as it is
     largest: dict[Hashable, Catalogue] = {}
-    for draw in sorted((scenario.draw_catalogue for scenario in scenarios), key=lambda draw: -draw.n_obj):
+    draws = [scenario.draw_catalogue for scenario in scenarios]
+    for draw in sorted(draws, key=lambda draw: -draw.n_obj):
         if draw.family not in largest:
             largest[draw.family] = _from_start(catalogue_rng, draw)
-    return [
-        (
-            largest[scenario.draw_catalogue.family].take(slice(scenario.draw_catalogue.n_obj)),
-            _from_start(directions, partial(_truth, scenario)),
-        )
-        for scenario in scenarios
-    ]
+    truths = [_from_start(directions, partial(_truth, scenario)) for scenario in scenarios]
+    return [(largest[draw.family].take(slice(draw.n_obj)), truth) for draw, truth in zip(draws, truths, strict=True)]
 
 
 class Generators:

@@ -318,10 +318,7 @@ a block, add an entry.
 
 
 def parse_unknowns(
-    text: str,
-    bins: Bins | None = None,
-    columns: Mapping[str, Array] | None = None,
-    missions: Sequence[str] = (),
+    text: str, bins: Bins | None = None, columns: Mapping[str, Array] | None = None, missions: Sequence[str] = ()
 ) -> Unknowns:
     """Return the blocks of a line like ``orientation,spin,vsh_motion:3``.
 
@@ -350,9 +347,7 @@ def require_mission_name(name: str) -> None:
     """Raise ValueError for a name of a mission that cannot stand before unknowns."""
     known = {one.removesuffix(":L") for one in KNOWN}
     if not (name.isascii() and name.replace("-", "_").isidentifier()) or name in known:
-        raise ValueError(
-            f"mission {name!r}: a name is letters, digits, _ and -, no digit first, and none of the unknowns"
-        )
+        raise ValueError(f"mission {name!r}: a name is letters, digits, _ and -, no digit first, and no unknowns")
 
 
 def _blocks(names: Sequence[str], bins: Bins | None, columns: Mapping[str, Array]) -> list[Block]:
@@ -373,10 +368,8 @@ def _harmonics(asked: Asked, rotation: str, glide: str, rows: tuple[int, ...]) -
     ends = re.fullmatch(r"(?:(\d+)-)?(\d+)", asked.degrees)
     first, last = (int(ends[1] or 1), int(ends[2])) if ends else (0, 0)
     if not 1 <= first <= last <= HIGHEST_DEGREE:
-        raise ValueError(
-            f"unknowns {asked.written!r}: give a degree or a range of them, from 1 to {HIGHEST_DEGREE}, the lower one "
-            "first, like vsh_motion:3 or vsh_motion:2-3"
-        )
+        said = f"unknowns {asked.written!r}: give a degree or a range of them, from 1 to {HIGHEST_DEGREE}, the lower"
+        raise ValueError(f"{said} one first, like vsh_motion:3 or vsh_motion:2-3")
     # one line may name both, but the same unknown twice would make the link rank deficient
     covered = {("t", 1): rotation in asked.beside, ("s", 1): glide in asked.beside}
     parts = tuple((k, d) for d in range(first, last + 1) for k in KINDS if not covered.get((k, d)))
@@ -390,9 +383,8 @@ def _spin_by_bin(column: str, edges: Sequence[float], columns: Mapping[str, Arra
     if not len(edges) or not np.all(np.isfinite(edges)) or np.any(np.diff(edges) <= 0.0):
         raise ValueError(f"bins of {column}: the edges must be finite and increase")
     if column not in columns:
-        raise ValueError(
-            f"bins: the satellite table has no numbers {column!r}; there are {', '.join(columns) or 'none'}"
-        )
+        there = ", ".join(columns) or "none"
+        raise ValueError(f"bins: the satellite table has no numbers {column!r}; there are {there}")
     values = columns[column]
     if np.any(missing := ~np.isfinite(values)):
         raise ValueError(f"bins: {column} is missing in {np.count_nonzero(missing)} of {len(values)} matched sources")

@@ -6,7 +6,6 @@ A new one is an entry in `MISSIONS`, or a table of a study, which is read and ch
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any, Literal
 
 import numpy as np
@@ -112,9 +111,8 @@ class PyGaia:
         try:  # only here: PyGaia is optional, and importing it takes half a second
             from pygaia.errors import astrometric
         except ImportError as error:
-            raise MissionUnavailableError(
-                f"the model 'gaia-{self.release}' needs PyGaia: pip install 'linksweep[gaia]' ({error})"
-            ) from error
+            said = f"the model 'gaia-{self.release}' needs PyGaia: pip install 'linksweep[gaia]' ({error})"
+            raise MissionUnavailableError(said) from error
         formula = getattr(astrometric, f"{self.quantity}_uncertainty")
         ra_uas, dec_uas = formula(np.atleast_1d(v_mag), release=self.release)
         return np.asarray(np.sqrt((ra_uas**2 + dec_uas**2) / 2.0) / 1000.0).reshape(np.shape(v_mag))
@@ -233,46 +231,42 @@ def _release(release: Release, months: float) -> Mission:
     )
 
 
-MISSIONS: Mapping[str, Mission] = MappingProxyType(
-    {
-        "amex": Mission(
-            curve_pos_mas=AMEX_PM.times(0.60),
-            curve_pm_mas_yr=AMEX_PM,
-            nominal_length_yr=2.0,
-            faint_limit_mag=np.inf,
-            source="two exponentials fitted to the 28 AMEX numbers of Metz & Geffert 2004 (Tables 1 and 2) with "
-            "inverse-variance weights; position/motion ratio of DIVA, 0.15 mas to 0.25 mas/yr (at V = 9, where the "
-            "fitted curve has 0.18 mas/yr)",
-            # from Algol, of Table 2, to the quasars of Table 1; those beyond V = 17 have next to no weight
-            valid_mag=(2.1, 20.0),
-            floor=Floor(0.60 * 0.0315, 0.0315, source="the curve at V = 2.1, its brightest object"),
-        ),
-        "gaia": Mission(
-            curve_pos_mas=GAIA_PM.times(1.15),
-            curve_pm_mas_yr=GAIA_PM,
-            nominal_length_yr=5.0,
-            faint_limit_mag=np.inf,
-            source="one exponential fitted to the GAIA column of Metz & Geffert 2004, Table 1",
-            valid_mag=(12.8, 20.0),
-            floor=Floor(
-                0.003, 0.003, source="ESA's prediction of 2001, constant from G = 12 on (Perryman et al. 2001)"
-            ),
-        ),
-        "gaia-2001": Mission(
-            curve_pos_mas=LogLinear(_GAIA_2001_MAG, tuple(s / 1000.0 for s in _GAIA_2001_POS_UAS)),
-            curve_pm_mas_yr=LogLinear(_GAIA_2001_MAG, tuple(s / 1000.0 for s in _GAIA_2001_PM_UAS)),
-            nominal_length_yr=5.0,
-            faint_limit_mag=21.0,
-            source="ESA's 2001 prediction for G = 10..21 (Perryman et al. 2001), log-linear between; "
-            "the table was not confirmed in print",
-            valid_mag=(10.0, 21.0),
-        ),
-        # The length is the one PyGaia's numbers stand for: it puts DR4 at 60 months, though DR4 itself will have 66.
-        "gaia-dr3": _release("dr3", 34),
-        "gaia-dr4": _release("dr4", 60),
-        "gaia-dr5": _release("dr5", 120),
-    }
-)
+MISSIONS: Mapping[str, Mission] = {
+    "amex": Mission(
+        curve_pos_mas=AMEX_PM.times(0.60),
+        curve_pm_mas_yr=AMEX_PM,
+        nominal_length_yr=2.0,
+        faint_limit_mag=np.inf,
+        source="two exponentials fitted to the 28 AMEX numbers of Metz & Geffert 2004 (Tables 1 and 2) with "
+        "inverse-variance weights; position/motion ratio of DIVA, 0.15 mas to 0.25 mas/yr (at V = 9, where the "
+        "fitted curve has 0.18 mas/yr)",
+        # from Algol, of Table 2, to the quasars of Table 1; those beyond V = 17 have next to no weight
+        valid_mag=(2.1, 20.0),
+        floor=Floor(0.60 * 0.0315, 0.0315, source="the curve at V = 2.1, its brightest object"),
+    ),
+    "gaia": Mission(
+        curve_pos_mas=GAIA_PM.times(1.15),
+        curve_pm_mas_yr=GAIA_PM,
+        nominal_length_yr=5.0,
+        faint_limit_mag=np.inf,
+        source="one exponential fitted to the GAIA column of Metz & Geffert 2004, Table 1",
+        valid_mag=(12.8, 20.0),
+        floor=Floor(0.003, 0.003, source="ESA's prediction of 2001, constant from G = 12 on (Perryman et al. 2001)"),
+    ),
+    "gaia-2001": Mission(
+        curve_pos_mas=LogLinear(_GAIA_2001_MAG, tuple(s / 1000.0 for s in _GAIA_2001_POS_UAS)),
+        curve_pm_mas_yr=LogLinear(_GAIA_2001_MAG, tuple(s / 1000.0 for s in _GAIA_2001_PM_UAS)),
+        nominal_length_yr=5.0,
+        faint_limit_mag=21.0,
+        source="ESA's 2001 prediction for G = 10..21 (Perryman et al. 2001), log-linear between; "
+        "the table was not confirmed in print",
+        valid_mag=(10.0, 21.0),
+    ),
+    # The length is the one PyGaia's numbers stand for: it puts DR4 at 60 months, though DR4 itself will have 66.
+    "gaia-dr3": _release("dr3", 34),
+    "gaia-dr4": _release("dr4", 60),
+    "gaia-dr5": _release("dr5", 120),
+}
 """The built-in missions by name."""
 
 UserCurve = Exponentials | LogLinear | FunctionCurve
@@ -321,10 +315,7 @@ def mission_from_table(table: Mapping[str, Any], load: Callable[[str], Function]
         ratio_yr = read.number("position_ratio", YEARS)
         positions = None if motions is None else motions.times(ratio_yr)
     tables = [curve.magnitudes for curve in (motions, positions) if isinstance(curve, LogLinear)]
-    brightest, end = (
-        max((mags[0] for mags in tables), default=-np.inf),
-        min((mags[-1] for mags in tables), default=np.inf),
-    )
+    brightest, end = max([-np.inf, *(mags[0] for mags in tables)]), min([np.inf, *(mags[-1] for mags in tables)])
     limit = read.number("faint_limit", MAGNITUDES, end)
     if limit > end:
         read.problem("faint_limit", f"{limit:g} mag: the table ends at {end:g} mag")
@@ -416,12 +407,11 @@ class _Reader:
         """Return the numbers of each row, in the order of their bounds."""
         numbers = []
         for number, row in enumerate(rows, 1):
+            where = f"row {number}"
             if set(row) != set(bounds):
-                self.problem(key, f"row {number}: must be as in {FORMS}")
+                self.problem(key, f"{where}: must be as in {FORMS}")
             else:
-                entries = [
-                    self._within(key, f"row {number}, {name}: ", row[name], ends) for name, ends in bounds.items()
-                ]
+                entries = (self._within(key, f"{where}, {name}: ", row[name], ends) for name, ends in bounds.items())
                 numbers.append(tuple(entries))
         return numbers
 

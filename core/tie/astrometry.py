@@ -336,12 +336,5 @@ def differences(
         for number in range(1, frames):
             here = rows.frame == number
             by_frames[here, :, 5 * number : 5 * number + 5] = -partials[here, :, :5]
-    return Differences(
-        values=np.where(present, values, 0.0).T,
-        partials=partials,
-        covariance=rows.covariance(),
-        present=present.T,
-        by_frames=by_frames,
-        calibrator=rows.calibrator,
-        shared=rows.shared,
-    )
+    values, of_rows = np.where(present, values, 0.0).T, (rows.calibrator, rows.shared)
+    return Differences(values, partials, rows.covariance(), present.T, by_frames, *of_rows)

@@ -170,10 +170,8 @@ def _groups(problem: Problem, solution: Solution) -> list[_Group]:
     differences = problem.differences()
     design = differences.by_frames @ problem.unknowns.matrix(*problem.objects(star))[source]
     variance = np.einsum("rii->ri", differences.whole(star.covariance()[source]))
-    usable = (
-        differences.present
-        & ~(np.abs(differences.partials[..., :5]) @ (~star.present).T[source][..., None] > 0.0)[..., 0]
-    )
+    by_free = np.abs(differences.partials[..., :5]) @ (~star.present).T[source][..., None]
+    usable = differences.present & ~(by_free > 0.0)[..., 0]
     with np.errstate(invalid="ignore", divide="ignore"):
         squares = (differences.values - design @ solution.estimate) ** 2 / variance
         means = 1.0 - np.einsum("rik,kl,ril->ri", design, solution.covariance, design) / variance
@@ -193,12 +191,9 @@ def _groups(problem: Problem, solution: Solution) -> list[_Group]:
 
 
 def _wholes(problem: Problem) -> list[_Part]:
-    frame = problem.rows.frame
-    satellite = _Part("satellite", "the satellite", np.ones(len(problem.satellite), dtype=bool))
-    return [
-        satellite,
-        *(_Part(name, f"the {name}", frame == k) for k, name in enumerate(problem.tables) if np.any(frame == k)),
-    ]
+    parts = [_Part("satellite", "the satellite", np.ones(len(problem.satellite), dtype=bool))]
+    of_tables = [_Part(name, f"the {name}", problem.rows.frame == k) for k, name in enumerate(problem.tables)]
+    return parts + [part for part in of_tables if np.any(part.at)]
 
 
 def _alike(problem: Problem, labels: NDArray[np.str_], words: str) -> list[_Part]:
@@ -353,9 +348,8 @@ def _two(problem: Problem) -> list[Cause]:
         if after < 0.9 * _ratio(free):
             for cause in (cause for part in wholes for cause in _causes(trial, part, _ratio(trial))):
                 if cause.ratio < GOOD and not cause.hides:
-                    causes.setdefault(
-                        frozenset((words, cause.words)), Cause(f"{words}, and {cause.words}", cause.ratio)
-                    )
+                    both = Cause(f"{words}, and {cause.words}", cause.ratio)
+                    causes.setdefault(frozenset((words, cause.words)), both)
     return list(causes.values())
 
 
@@ -385,11 +379,8 @@ def _corrections(problem: Problem, table: str) -> Iterator[tuple[str, int, Chang
     for name, rows in NOT_POSITIONS.items():
         yield f"{name} of {{}} with reversed sign", 0, _scaled(rows, -1.0, values=True)
     if table != "satellite":
-        yield (
-            "mean positions of {} taken as those of a single epoch, or the other way round",
-            0,
-            _changed(["apparent"], np.logical_not),
-        )
+        mean = "mean positions of {} taken as those of a single epoch, or the other way round"
+        yield mean, 0, _changed(["apparent"], np.logical_not)
     for ratio, unit in (SMALLER | LARGER).items():
         for name, rows in NOT_POSITIONS.items():
             yield f"{name} of {{}}, {unit}", 0, _scaled(rows, ratio, values=True)
@@ -461,9 +452,8 @@ def _freed(problem: Problem, turned: bool) -> Change:
         seen = rows.apparent & rows.present[0]
         covariance[seen, :2, :2] += np.eye(2) * np.nan_to_num(star.values[2, seen, None, None]) ** 2
         errors, correlations = by_errors(covariance)
-        return replace(
-            rows, errors=np.where(rows.present, errors, rows.errors), correlations=correlations[*np.array(PAIRS).T]
-        )
+        errors = np.where(rows.present, errors, rows.errors)
+        return replace(rows, errors=errors, correlations=correlations[*np.array(PAIRS).T])
 
     return change
 

@@ -100,9 +100,8 @@ def noises(problem: Problem, jitter: Mapping[str, Mapping[str, Any]]) -> dict[st
             at = (kind_of_row == kind) & (problem.rows.frame == frame)
             chosen += [(f"{of_table}{kind}", at, problem.rows.present.T)] if size == ESTIMATE else []
     if everywhere:
-        chosen.append(
-            (SATELLITE, np.isin(np.arange(len(problem.satellite)), problem.source), problem.satellite.present.T)
-        )
+        with_rows = np.isin(np.arange(len(problem.satellite)), problem.source)
+        chosen.append((SATELLITE, with_rows, problem.satellite.present.T))
     for kind, at, _ in chosen:
         if (number := np.count_nonzero(at)) < FEWEST:
             rows, advice = f"rows of the kind {kind}", f"say how large it is, as in --jitter '{kind}=0.1'"
@@ -133,13 +132,8 @@ def estimated(problem: Problem, wanted: Mapping[str, Flags]) -> Noise:
         terms = _terms(sources, scaled * scale)
         return terms.value, terms.gradient * scale
 
-    best: Any = minimize(
-        likelihood,
-        np.ones(len(kept)),
-        jac=True,
-        bounds=Bounds(np.zeros(len(kept)), np.inf),
-        options={"ftol": 1e-14, "gtol": 1e-7},
-    )
+    how: Any = {"jac": True, "bounds": Bounds(np.zeros(len(kept)), np.inf), "options": {"ftol": 1e-14, "gtol": 1e-7}}
+    best: Any = minimize(likelihood, np.ones(len(kept)), **how)
     variance = best.x * scale
     terms = _terms(sources, variance)
     scatter = np.sqrt(np.diag(inverted(terms.information)))

@@ -333,9 +333,8 @@ class Problem:
         place = np.full(len(self.satellite), -1)
         place[sources] = np.arange(len(sources))
         rows = np.flatnonzero(place[self.source] >= 0)
-        return replace(
-            self, satellite=self.satellite.taken(sources), rows=self.rows.taken(rows), source=place[self.source[rows]]
-        )
+        satellite, source = self.satellite.taken(sources), place[self.source[rows]]
+        return replace(self, satellite=satellite, rows=self.rows.taken(rows), source=source)
 
     def differences(self) -> Differences:
         """Return the differences of all rows, without the effect of the known unknowns."""

@@ -16,9 +16,7 @@ class SearchOptions(Declared):
     where: str = option(
         "only stars, or rows of NAME, like 'vt_mag < 9'; a ; divides several", "[NAME:]CONDITION", joined=";"
     )
-    epoch: float = option(
-        "Julian year of the galaxy positions", "YEAR", 2000.0, "float", minimum=1700.0, maximum=2300.0
-    )
+    epoch: float = option("epoch of the galaxy positions", "YEAR", 2000.0, "float", minimum=1700.0, maximum=2300.0)
     ref_epoch: Pairs = mapping("epoch of the stars, instead of a column ref_epoch", "[NAME=]YEAR")
     missing_pm: str = one_of("what to do with stars that have no proper motion", "error", "zero")
     merge_radius: float | None = option(

@@ -95,10 +95,8 @@ def at_epoch(
     and radial velocity.
     """
     p, q, r = triad(positions.ra, positions.dec)
-    ra, dec = position(r + (p * pmra + q * pmdec) * years)
-    return Positions(
-        ra, dec, np.hypot(positions.ra_error, pmra_error * years), np.hypot(positions.dec_error, pmdec_error * years)
-    )
+    errors = np.hypot([positions.ra_error, positions.dec_error], np.array([pmra_error, pmdec_error]) * years)
+    return Positions(*position(r + (p * pmra + q * pmdec) * years), *errors)
 
 
 def sky_tree(positions: Positions) -> KDTree:
@@ -130,10 +128,8 @@ def pairs_within(first: KDTree, second: KDTree, radius: float) -> tuple[Indices,
         raise ValueError(f"radius = {radius / ARCSEC:g} arcsec: must be above 0 and at most {MAX_RADIUS / ARCSEC:g}")
     expected = uniform_pairs(first.n, second.n, radius)
     if expected > MAX_PAIRS:
-        raise ValueError(
-            f"radius = {radius / ARCSEC:g} arcsec: about {expected:.1e} chance pairs of {first.n} and {second.n} "
-            f"objects, more than {MAX_PAIRS:.0e}; take a smaller one"
-        )
+        said = f"radius = {radius / ARCSEC:g} arcsec: about {expected:.1e} chance pairs of {first.n} and {second.n}"
+        raise ValueError(f"{said} objects, more than {MAX_PAIRS:.0e}; take a smaller one")
     pairs = first.sparse_distance_matrix(second, chord(radius), output_type="ndarray")
     return pairs["i"].astype(np.int64), pairs["j"].astype(np.int64), 2.0 * np.arcsin(np.minimum(0.5 * pairs["v"], 1.0))
 
@@ -208,10 +204,9 @@ def merge_galaxies(
         for earlier, earlier_tree, earlier_label in zip(catalogues, trees, labels, strict=False):
             radius = earlier.radius + catalogue.radius if merge_radius is None else merge_radius
             at, entry, offset = pairs_within(earlier_tree, tree, radius)
-            galaxy, there = earlier_label[at], earlier.positions.take(at)
-            links.append(
-                pd.DataFrame({"offset": offset, "dec": there.dec, "ra": there.ra, "galaxy": galaxy, "entry": entry})
-            )
+            there = earlier.positions.take(at)
+            columns = {"offset": offset, "dec": there.dec, "ra": there.ra, "galaxy": earlier_label[at], "entry": entry}
+            links.append(pd.DataFrame(columns))
         if links:
             link = pd.concat(links)
             galaxy, entry = link["galaxy"].to_numpy(), link["entry"].to_numpy()
@@ -303,9 +298,8 @@ def cross_match(
     n_sigma = np.hypot(d_ra / ra_error, d_dec / dec_error).to_numpy()
     n_near = star_tree.query_ball_point(here.vectors, chord(asked.crowding_radius * ARCSEC), return_length=True) - 1
     n_rival = table["n_rival"].to_numpy()
-    reasons = pd.DataFrame(
-        {"crowded": n_near >= asked.crowding_stars, "offset": n_sigma > asked.k_sigma, "rival": n_rival > 0}
-    )
+    doubts = {"crowded": n_near >= asked.crowding_stars, "offset": n_sigma > asked.k_sigma, "rival": n_rival > 0}
+    reasons = pd.DataFrame(doubts)
     # the supplement is a class of its own, as in the paper, whatever the doubts
     code = np.where(table["supplement"], 2, reasons.any(axis=1))
     match = table[["star", "galaxy"]].assign(match=np.arange(len(table)))
@@ -408,10 +402,9 @@ def find_matches(search: Search) -> SearchResult:
     parts = [_star_positions(table, asked.epoch) for table in stars.values()]
     positions = Positions(*map(np.concatenate, zip(*parts, strict=True)))
     supplement = np.repeat(np.arange(len(stars)) == 1, [len(table) for table in stars.values()])
-    catalogues = [
-        GalaxyCatalogue(_positions(table), table["PGC"].to_numpy(), search.said["radius"][name] * ARCSEC)
-        for name, table in galaxies.items()
-    ]
+    radii = search.said["radius"]
+    each = ((_positions(one), one["PGC"].to_numpy(), radii[name] * ARCSEC) for name, one in galaxies.items())
+    catalogues = [GalaxyCatalogue(*one) for one in each]
     try:
         return SearchResult(search, stars, galaxies, cross_match(positions, supplement, catalogues, asked))
     except ValueError as error:

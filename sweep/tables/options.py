@@ -156,9 +156,8 @@ def by_table(
     for text, value in sorted(pairs, key=lambda pair: bool(pair[0].rpartition(":")[0])):
         table, _, key = text.rpartition(":")
         if table and table not in tables:
-            raise SweepError(
-                f"{name}: no table {table!r}{suggest(table, list(tables)) if tables else ', nor any other'}"
-            )
+            hint = suggest(table, list(tables)) if tables else ", nor any other"
+            raise SweepError(f"{name}: no table {table!r}{hint}")
         for one in [table] if table else common:
             said.setdefault(one, {})[key] = value
     return said

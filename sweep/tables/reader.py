@@ -330,9 +330,8 @@ def _layout(content: bytes) -> tuple[list[str], list[str], str, int]:
     delimiter = best if best in unquoted else " "
     names, units, first = _fields(header, delimiter), None, at
     if any(map(_NUMBER.fullmatch, names)):  # this line is a row already
-        above = [
-            _fields(line.lstrip("#"), d) for line in reversed(lines[:at]) for d in (delimiter, " ") if line[:1] == "#"
-        ]
+        comments = [line.lstrip("#") for line in reversed(lines[:at]) if line[:1] == "#"]
+        above = [_fields(line, d) for line in comments for d in (delimiter, " ")]
         fitting = [fields for fields in above if len(fields) == len(names)] or [names]
         units = fitting.pop(0) if len(fitting) > 1 and _are_units(fitting[0]) else None
         names = fitting[0]
@@ -489,9 +488,8 @@ def _from_arrow(arrow: Any, columns: Sequence[str] | None = None) -> Any:
 
     # astropy writes a mask as a column of its own, and a time as two
     if b"table_meta_yaml" in (arrow.schema.metadata or {}):
-        if nulls := [
-            f.name for f in arrow.schema if arrow[f.name].null_count and not pyarrow.types.is_floating(f.type)
-        ]:
+        some = [one for one in arrow.schema if not pyarrow.types.is_floating(one.type)]
+        if nulls := [one.name for one in some if arrow[one.name].null_count]:
             raise SweepError(f"has nulls in {', '.join(nulls)}, where astropy has masks: write it with astropy")
         pyarrow.parquet.write_table(arrow, source := io.BytesIO())
         return Table.read(source, format="parquet", include_names=columns)

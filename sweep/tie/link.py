@@ -140,9 +140,8 @@ def solve_link(
             listed = ", ".join(f"{setup.names[places[k]]} ({100.0 * part[k]:.0f} %)" for k in large)
             notes.append(f"more than {100 * solving.LARGE_SHARE:.0f} % of the weight in {block}: {listed}")
     notes = [*([doubt.text] if doubt.text else []), *setup.notes, *further, *result.notes, *notes]
-    return Link(
-        setup, str(how), result, covariances, samples, effect, squares, sources.count, doubt, tuple(notes), noise
-    )
+    per = effect, squares, sources.count
+    return Link(setup, str(how), result, covariances, samples, *per, doubt, tuple(notes), noise)
 
 
 def _with_noise(setup: Setup, how: solving.Clip) -> tuple[Setup, solving.Sources, solving.Clipped, Noise, list[str]]:
@@ -166,9 +165,8 @@ def _with_noise(setup: Setup, how: solving.Clip) -> tuple[Setup, solving.Sources
     else:
         notes.append(f"the clip with the estimated noise still changed after {ROUNDS} rounds")
     if noise.left_out:
-        notes.append(
-            f"noise of {', '.join(noise.left_out)} cannot be told from that of the rest, and is included there"
-        )
+        left_out = ", ".join(noise.left_out)
+        notes.append(f"noise of {left_out} cannot be told from that of the rest, and is included there")
     return replace(setup, problem=noisy), sources, result, noise, notes
 
 
@@ -338,9 +336,8 @@ def tie(
     """
     asked = Options.named(TIE, {"unknowns": unknowns, **options})
     how = asked.clip, listed(asked.errors), asked.resamples, asked.seed
-    on = resources or Resources(
-        workers, None, scheduler, cluster=None if cluster is None else Path(cluster), limits=limits
-    )
+    cluster = None if cluster is None else Path(cluster)
+    on = resources or Resources(workers, None, scheduler, cluster=cluster, limits=limits)
     if in_row_groups(satellite, reference, asked):
         if ESTIMATE in asked.jitter:
             raise SweepError("jitter estimate needs a table that is solved as a whole; say how large it is, motion=0.1")
@@ -783,9 +780,8 @@ def _notes(link: "xr.Dataset", stars: Astrometry, inverse: bool, path: str) -> l
     if len(half := np.flatnonzero(there[3] != there[4])):
         raise SweepError(f"only one coordinate of the motion in {named_rows(half)}", path)
     frames = "reference to the satellite" if inverse else "satellite to the reference"
-    notes = [
-        f"carried from the frame of the {frames} by {' and '.join(applied)}, with the covariance of the link added"
-    ]
+    by = " and ".join(applied)
+    notes = [f"carried from the frame of the {frames} by {by}, with the covariance of the link added"]
     notes += [f"the link has no {name}, which is not changed" for name in ROTATION.names if name not in applied]
     return [*notes, "rows are correlated with each other by the link, whose covariance they share"]
 

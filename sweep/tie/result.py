@@ -201,14 +201,8 @@ def _link_tables(link: "xr.Dataset") -> list[Table]:
     expected = f"{float(link.chi2_expected):.6g} is expected, {float(link.dof):.0f} degrees of freedom"
     head += [f"chi2 {float(link.chi2):.6g} where {expected}", ""]
     kinds = link.error_kind.values
-    made = [
-        Table(
-            _estimates(
-                "unknown", link.unknown, link.estimate, dict(zip(kinds, link.errors.values, strict=True)), link.unit
-            ),
-            "\n".join(head),
-        )
-    ]
+    errors = dict(zip(kinds, link.errors.values, strict=True))
+    made = [Table(_estimates("unknown", link.unknown, link.estimate, errors, link.unit), "\n".join(head))]
     if "amplitude" in link:
         errors = dict(zip(kinds, link.amplitude_errors.values, strict=True))
         columns = _estimates("amplitude", link.amplitude_name, link.amplitude, errors, link.amplitude_unit)

@@ -436,9 +436,8 @@ def match_notes(satellite: AstrometricTable, table: AstrometricTable, matched: M
     """
     name, notes = Path(table.path).name, []
     if matched.releases:
-        notes.append(
-            f"identifiers of {' and '.join(matched.releases)} are different names; stars are named as in {name}"
-        )
+        both = " and ".join(matched.releases)
+        notes.append(f"identifiers of {both} are different names; stars are named as in {name}")
     if rows.further is not None:
         notes.append(f"accelerations in {name} are not compared: its rows are of their epochs")
     if len(left := np.flatnonzero(matched.place < 0)):
@@ -512,10 +511,8 @@ def _aberrated(rows: Astrometry, to_epoch: Array, aberration: float) -> Astromet
     if there are no such positions.
     """
     if not np.any(rows.present[0] & np.isnan(rows.epoch) & np.isfinite(to_epoch)):
-        raise SweepError(
-            "aberration carries positions without an epoch from 2015.0 to that of their source, and no row of the "
-            "reference is such a position"
-        )
+        said = "aberration carries positions without an epoch from 2015.0 to that of their source, and no row of the"
+        raise SweepError(f"{said} reference is such a position")
     p, q, _ = triad(rows.values[0], rows.values[1])
     years = np.where(np.isfinite(rows.epoch) | ~np.isfinite(to_epoch), 0.0, to_epoch - ICRF3_EPOCH)
     glide = GALACTIC_AXES[0] * aberration * MAS / 1000.0

@@ -313,9 +313,8 @@ def _zero_points(read: Columns, epoch: Array) -> Array:
         known = np.isin(columns[-1], (31, 95))
         zpt.load_tables()
         shift[known] = zpt.get_zpt(*columns[:, known], _warnings=False)
-    read.notes.append(
-        f"zero points of {np.isfinite(shift).sum()} of {len(read)} parallaxes subtracted (Lindegren et al. 2021)"
-    )
+    number = np.isfinite(shift).sum()
+    read.notes.append(f"zero points of {number} of {len(read)} parallaxes subtracted (Lindegren et al. 2021)")
     return np.asarray(np.nan_to_num(shift) * MAS)
 
 
@@ -352,10 +351,8 @@ def _note_lost(read: Columns, lost: Flags) -> None:
         if row.any() and read.has(f"{name}_error"):
             alike.setdefault(row.tobytes(), []).append(name)
     for flags, names in alike.items():
-        rows = np.flatnonzero(np.frombuffer(flags, dtype=bool))
-        read.notes.append(
-            f"{len(rows)} rows have no error of {', '.join(names)}, which is not used: {core.named_rows(rows)}"
-        )
+        rows, what = np.flatnonzero(np.frombuffer(flags, dtype=bool)), f"no error of {', '.join(names)}"
+        read.notes.append(f"{len(rows)} rows have {what}, which is not used: {core.named_rows(rows)}")
 
 
 def _note_unlikely(read: Columns, names: Sequence[str], values: Array, errors: Array) -> None:
@@ -391,15 +388,12 @@ def _check_positions(read: Columns, values: Array, errors: Array) -> None:
             if np.any(np.isfinite(error)) or (name in ("ra", "dec") and not np.any(np.isfinite(values[2:]))):
                 read.require(name)
             continue
-        if (
-            name in ("ra", "dec")
-            and read.kind(column := str(read.name(name))) == "f"
-            and read.table[column].dtype.itemsize < 8
-        ):
+        is_position, column = name in ("ra", "dec"), str(read.name(name))
+        if is_position and read.kind(column) == "f" and read.table[column].dtype.itemsize < 8:
             size = np.abs(row) * (np.cos(values[1]) if name == "ra" else 1.0)
             what = f"positions in single precision (column {column!r}), too coarse for their errors,"
             read.check(size * 2.0**-24 > COARSE * error, what)
-        elif name in ("ra", "dec") and len(rounded := _rounded(row, error / np.cos(values[1] * (name == "ra")))):
+        elif is_position and len(rounded := _rounded(row, error / np.cos(values[1] * (name == "ra")))):
             what = f"{name} is written with a last decimal that is worth more than its error"
             read.notes.append(f"{what}: were digits lost? {core.named_rows(rounded)}")
         read.check(np.isfinite(error) & ~np.isfinite(row), f"an error but no value of {name}")
@@ -534,11 +528,9 @@ def _calibrators(read: Columns) -> dict[str, Any]:
     read.check(~((shared >= 0.0) & (shared < np.inf)), "a calibrator without an error that is 0 or more")
     low, high = CALIBRATORS
     if np.any(unlikely := (shared > 0.0) & ~((shared >= low * MAS) & (shared <= high * MAS))):
-        size = f"{np.median(shared[unlikely]) / MAS:.2g} mas"
-        unit = "is it in arcsec" if np.median(shared[unlikely]) < low * MAS else "is it in uas"
-        read.notes.append(
-            f"calibrator_error of {size}, {core.named_rows(np.flatnonzero(unlikely))}: {unit}? Say --unit"
-        )
+        median, rows = np.median(shared[unlikely]) / MAS, core.named_rows(np.flatnonzero(unlikely))
+        unit = "arcsec" if median < low else "uas"
+        read.notes.append(f"calibrator_error of {median:.2g} mas, {rows}: is it in {unit}? Say --unit")
     return {"calibrator": names, "shared": shared}
 
 
