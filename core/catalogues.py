@@ -88,8 +88,8 @@ class Catalogue:
             sigma, correlation = errors
             return OwnErrors(function(sigma), None if correlation is None else function(correlation))
 
-        columns = map(function, (self.ra, self.dec, self.pmra, self.pmdec, self.v_mag))
-        return Catalogue(*columns, *map(mapped, (self.errors, self.reference, self.satellite)))
+        ra, dec, pmra, pmdec, v_mag = map(function, (self.ra, self.dec, self.pmra, self.pmdec, self.v_mag))
+        return Catalogue(ra, dec, pmra, pmdec, v_mag, *map(mapped, (self.errors, self.reference, self.satellite)))
 
 
 @dataclass(frozen=True)

@@ -257,10 +257,8 @@ class CatalogueErrors(ErrorModel):
             return f"{side}_errors = 'catalogue': the {point['catalogue']} catalogue has no errors of its own"
         if point["reference_errors"] != point["satellite_errors"] or objects.reference or objects.satellite:
             return None
-        return (
-            "reference_errors and satellite_errors are both 'catalogue', but the objects have errors of one side only; "
-            "a file may have those of the other: columns = { reference_pmra_error = ... }"
-        )
+        said = "reference_errors and satellite_errors are both 'catalogue', but objects have errors of one side only"
+        return f"{said}; a file may have those of the other: columns = {{ reference_pmra_error = ... }}"
 
 
 ERROR_MODELS: Mapping[str, type[ErrorModel]] = {
@@ -298,7 +296,6 @@ def _probe(model: Named, brightest: float, faintest: float) -> None:
         differs = ~np.isclose(values, again, rtol=1e-9, atol=0.0)  # a logarithm may round differently in another place
         if differs.any():
             first = int(np.argmax(differs))
-            raise CurveError(
-                f"model = {model.name!r}: the error of {errors} at V = {v_mag[some][first]:g} mag is {values[first]:g} "
-                f"in one call and {again[first]:g} in another: it must depend on nothing but the magnitude"
-            )
+            said = f"V = {v_mag[some][first]:g} mag is {values[first]:g} in one call and {again[first]:g} in another"
+            said = f"the error of {errors} at {said}: it must depend on nothing but the magnitude"
+            raise CurveError(f"model = {model.name!r}: {said}")

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from linksweep.core import scenario
+from linksweep.core import setup
 from linksweep.core.catalogues import CATALOGUES, RANDOM_SKY, SIDES, File
 from linksweep.core.errors import ERROR_MODELS, ErrorModel
 from linksweep.core.frames import Array
@@ -51,17 +51,17 @@ def check(point: Point) -> str | None:
         return problem
     try:
         # before any error is computed: a curve may not reach these magnitudes
-        for side, model in zip(SIDES, models := scenario.error_models(point), strict=True):
-            if problem := model.problem(point, side, scenario.catalogue_kind(point)):
+        for side, model in zip(SIDES, models := setup.error_models(point), strict=True):
+            if problem := model.problem(point, side, setup.catalogue_kind(point)):
                 return problem
-        errors = scenario.expected_errors(point, models)
+        errors = setup.expected_errors(point, models)
         return _errors_problem(point, errors) or _projected_problem(point, models, errors)
     except (MissionUnavailableError, CurveError) as error:
         return str(error)
 
 
 def _catalogue_problem(point: Point) -> str | None:
-    kind = scenario.catalogue_kind(point)
+    kind = setup.catalogue_kind(point)
     uses = kind.uses(point)
     if point["file"] is not None and "file" not in uses:
         return "file: catalogue = 'file' needs a file, and other catalogues have none"
@@ -69,8 +69,8 @@ def _catalogue_problem(point: Point) -> str | None:
         return "zone_of_avoidance and sky_contrast are for random positions (positions = 'isotropic')"
     if problem := kind.why_not(point):
         return problem
-    if point["solve_glide"] and scenario.catalogue_size(point) < SMALLEST_GLIDE:
-        size = scenario.catalogue_size(point)
+    if point["solve_glide"] and setup.catalogue_size(point) < SMALLEST_GLIDE:
+        size = setup.catalogue_size(point)
         return f"n_obj = {size}: solving for a glide too needs at least {SMALLEST_GLIDE} objects"
     if point["aberration"] and not kind.extragalactic:
         return f"aberration: the glide is that of extragalactic objects, not of {point['catalogue']}"
@@ -83,10 +83,10 @@ def _systematics_problem(point: Point) -> str | None:
         if name not in random and point[f"{name}_size"] and not any(point[name]):
             return f"{name}_size = {point[f'{name}_size']:g}: {name} = {list(point[name])} gives it no direction"
     try:
-        need_magnitudes = scenario.systematics(point).need_magnitudes
+        need_magnitudes = setup.systematics(point).need_magnitudes
     except ValueError as error:
         return f"motion_field = {point['motion_field']!r}: {error}"
-    if need_magnitudes and any(map(math.isnan, scenario.catalogue_kind(point).magnitudes(point))):
+    if need_magnitudes and any(map(math.isnan, setup.catalogue_kind(point).magnitudes(point))):
         return "omega_slope and magnitude equations need magnitudes (v_mag, phot_g_mean_mag, vt_mag) in the file"
     return None
 
@@ -124,9 +124,9 @@ def _projected_problem(point: Point, models: Sequence[ErrorModel], errors: Array
     if point["method"] == "catalogue":
         return None
     needs = "method = 'projected' needs"
-    if scenario.zonal_errors(point) is not None:
+    if setup.zonal_errors(point) is not None:
         return f"{needs} errors that are independent from object to object, and zonal ones are not"
-    objects = scenario.catalogue_kind(point).objects(point)
+    objects = setup.catalogue_kind(point).objects(point)
     for side, model in zip(SIDES, models, strict=True):
         if point[f"{side}_error_ratio"] != 1.0:
             return f"{needs} true errors that equal those in the weights: {side}_error_ratio = 1"
@@ -142,8 +142,8 @@ def warn(point: Point) -> list[str]:
     """Return sentences about magnitudes outside of a curve's range, about what is not measured, about positions of
     different epochs, and about objects that decide nearly alone.
     """
-    kind, models = scenario.catalogue_kind(point), scenario.error_models(point)
-    errors = scenario.expected_errors(point, models)
+    kind, models = setup.catalogue_kind(point), setup.error_models(point)
+    errors = setup.expected_errors(point, models)
     sentences = [model.warning(point, kind) for model in models]
     sentences += [_not_measured(errors), _epochs(point), _heaviest(point, errors)]
     return [sentence for sentence in sentences if sentence is not None]
@@ -174,7 +174,7 @@ def _epochs(point: Point) -> str | None:
 
 def _heaviest(point: Point, errors: Array) -> str | None:
     """Name the object of a file with the largest share of the weight of positions or proper motions."""
-    kind = scenario.catalogue_kind(point)
+    kind = setup.catalogue_kind(point)
     if not isinstance(kind, File) or point["weighting"] == "equal":
         return None
     variance = np.square(errors).sum(axis=0).reshape(-1, 2, 2)  # (N, kinds, coordinates)
@@ -186,11 +186,9 @@ def _heaviest(point: Point, errors: Array) -> str | None:
     position, motion = share[heaviest]
     if max(position, motion) <= LARGE_SHARE:
         return None
-    return (
-        f"file: {kind.row_name(point, heaviest)} holds {100 * motion:.0f} % of the weight of all proper motions and "
-        f"{100 * position:.0f} % of that of all positions, of {len(share)} objects; is its magnitude right?  v_min "
-        "leaves out the bright ones"
-    )
+    said = f"file: {kind.row_name(point, heaviest)} holds {100 * motion:.0f} % of the weight of all proper motions and"
+    said += f" {100 * position:.0f} % of that of all positions, of {len(share)} objects; is its magnitude right?"
+    return f"{said}  v_min leaves out the bright ones"
 
 
 def unused(point: Point) -> dict[str, str]:
@@ -203,22 +201,22 @@ def unused(point: Point) -> dict[str, str]:
             clauses[vector] = f"its direction is random (directions) and its length is {vector}_size"
     if not point["aberration"]:
         clauses["glide"] = "it is for aberration = true"
-    if scenario.zonal_errors(point) is None:
+    if setup.zonal_errors(point) is None:
         clauses["zonal_length"] = "it is for zonal errors, zonal_pos or zonal_pm above 0"
-    errors = scenario.expected_errors(point, scenario.error_models(point))
+    errors = setup.expected_errors(point, setup.error_models(point))
     position, motion = errors[..., :2].any(), errors[..., 2:].any()
     if position != motion:
         what, names = ("proper motions", OF_MOTIONS) if position else ("positions", ("zonal_pos",))
         clauses |= dict.fromkeys(names, f"{what} have no errors on either side, so that they are not measured")
     if point["motion_field"] is None:
         clauses["motion_field_size"] = "it is for a motion_field"
-    if not scenario.systematics(point).need_magnitudes:
+    if not setup.systematics(point).need_magnitudes:
         clauses["v_zero"] = "it is for an omega_slope or a magnitude equation"
     return clauses
 
 
 def _unused_by_catalogue(point: Point) -> dict[str, str]:
-    kind, clauses = scenario.catalogue_kind(point), {}
+    kind, clauses = setup.catalogue_kind(point), {}
     uses = kind.uses(point)
     for parameter in sorted({name for other in CATALOGUES.values() for name in other.parameters} - uses):
         if parameter in RANDOM_SKY & kind.parameters:
@@ -250,12 +248,8 @@ ALL = (*LABELS, *GLIDE_LABELS)
 MEANS = (ORIENTATION, SPIN)
 """The blocks of unknowns whose mean variance is a result."""
 
-SIGMAS: Mapping[str, slice | int] = {
-    "sigma": ALWAYS,
-    "glide_sigma": GLIDE,
-    "sigma_orientation": len(ALL),
-    "sigma_spin": len(ALL) + 1,
-}
+SIGMAS: dict[str, slice | int] = {"sigma": ALWAYS, "glide_sigma": GLIDE}
+SIGMAS |= {"sigma_orientation": len(ALL), "sigma_spin": len(ALL) + 1}
 """Where the results stand among the unknowns and these means."""
 
 SUMS: Mapping[str, tuple[int, ...]] = {
@@ -287,7 +281,7 @@ def evaluate(
     """Return the sums of `SUMS` for one catalogue of each point and ``n_sim`` realisations of its errors, one row
     per point.
     """
-    return _rows(simulate([scenario.scenario(point) for point in points], n_sim, rng, catalogue_rng))
+    return _rows(simulate([setup.scenario(point) for point in points], n_sim, rng, catalogue_rng))
 
 
 def evaluate_catalogues(points: Sequence[Point], n_sim: int, streams: Sequence[Streams]) -> dict[str, Array]:
@@ -296,9 +290,9 @@ def evaluate_catalogues(points: Sequence[Point], n_sim: int, streams: Sequence[S
     Small catalogues of one point are computed together: one by one they would take many times as long as their random
     numbers.
     """
-    physics = [scenario.scenario(point) for point in points]
+    physics = [setup.scenario(point) for point in points]
     # how many depends on the point alone, so that a block is the same whatever the machine
-    together = max(1, STACK // (scenario.catalogue_size(points[0]) * n_sim))
+    together = max(1, STACK // (setup.catalogue_size(points[0]) * n_sim))
     if len(physics) > 1 or together == 1 or not can_stack(physics[0], n_sim):
         return _rows([_rows(simulate(physics, n_sim, *pair)) for pair in streams])
     parts = [streams[first : first + together] for first in range(0, len(streams), together)]
@@ -310,7 +304,7 @@ def samples(
     points: Sequence[Point], n_sim: int, rng: np.random.Generator, catalogue_rng: np.random.Generator
 ) -> dict[str, Array]:
     """Return what `evaluate` returns and the estimates that it adds up, shape (points, n_sim, K)."""
-    rows = simulate([scenario.scenario(point) for point in points], n_sim, rng, catalogue_rng, keep_estimates=True)
+    rows = simulate([setup.scenario(point) for point in points], n_sim, rng, catalogue_rng, keep_estimates=True)
     return _rows([row | {"estimate": row["estimate"][:, ALWAYS]} for row in rows])
 
 
@@ -368,17 +362,16 @@ def cost(point: Point) -> float:
 
     A zonal error is a sum over harmonics, of which `HARMONICS` cost as much as a normal.
     """
-    objects = scenario.catalogue_kind(point).objects(point)
-    reference, satellite = (model.has_errors(objects) for model in scenario.error_models(point))
-    zonal = scenario.zonal_errors(point)
+    objects = setup.catalogue_kind(point).objects(point)
+    reference, satellite = (model.has_errors(objects) for model in setup.error_models(point))
+    zonal = setup.zonal_errors(point)
     if point["method"] == "projected":
         unknowns = len(link_unknowns(bool(point["solve_glide"])))
         columns = 1 + unknowns * (1 if point["weighting"] == "inverse-variance" else 2)
-        return float(min(columns, 4 * scenario.catalogue_size(point)) if reference or satellite else 0)
+        return float(min(columns, 4 * setup.catalogue_size(point)) if reference or satellite else 0)
     per_object = 4 * (reference + (satellite or zonal is not None))
-    return float(
-        (per_object + (0.0 if zonal is None else zonal.coefficients / HARMONICS)) * scenario.catalogue_size(point)
-    )
+    of_zonal = 0.0 if zonal is None else zonal.coefficients / HARMONICS
+    return float((per_object + of_zonal) * setup.catalogue_size(point))
 
 
 def _rows(sums: Sequence[Mapping[str, Array]]) -> dict[str, Array]:

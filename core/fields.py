@@ -185,11 +185,8 @@ def parse_pattern(text: str) -> Pattern:
     for entry in filter(None, (entry.strip() for entry in text.split(","))):
         name, equals, number = (word.strip() for word in entry.partition("="))
         if (term := _terms_by_label().get(name)) is None:
-            raise ValueError(
-                f"{name!r} is no vector spherical harmonic; those are t_L_0, t_L_M_re and t_L_M_im (toroidal) and "
-                f"s_L_0, ... (spheroidal) of degrees L = 1 to {HIGHEST_DEGREE} and orders M = 1 to L, such as t_2_0 or "
-                "s_2_1_re"
-            )
+            known = f"t_L_0, t_L_M_re and t_L_M_im (toroidal) and s_L_0, ... (spheroidal), L = 1 to {HIGHEST_DEGREE}"
+            raise ValueError(f"{name!r} is no vector spherical harmonic; those are {known}, M = 1 to L, like s_2_1_re")
         if term in pattern:
             raise ValueError(f"{name} twice")
         try:  # NaN and infinity are numbers to float, and fail the next test

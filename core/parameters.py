@@ -132,8 +132,7 @@ PARAMETERS = (
     ),
     *(
         _number(
-            *(f"{side}_error_ratio", 1.0, "its true errors over those in the weights", "", (None, 100.0)),
-            above=0.0,
+            *(f"{side}_error_ratio", 1.0, "its true errors over those in the weights", "", (None, 100.0)), above=0.0
         )
         for side in ("satellite", "reference")
     ),

@@ -10,8 +10,7 @@ import numpy as np
 from linksweep.core.catalogues import Catalogue
 from linksweep.core.designs import FixedDesign, NoisyDesign, Projected, Solved, fixed_designs
 from linksweep.core.frames import MAS, Array, LinkError, Stack
-from linksweep.core.scenario import Scenario
-from linksweep.core.setup import ROWS, Prefixes, SharedSums, prepare, tiles
+from linksweep.core.setup import ROWS, Prefixes, Scenario, SharedSums, prepare, tiles
 from linksweep.core.unknowns import ALWAYS, GLIDE, ORIENTATION, SPIN
 
 Streams = tuple[np.random.Generator, np.random.Generator]

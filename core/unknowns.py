@@ -146,10 +146,8 @@ def amplitudes(block: Harmonics) -> tuple[list[str], Array]:
     sky = Objects(2.4 * np.arange(40.0), np.arcsin(np.linspace(-0.95, 0.95, 40)), *np.zeros((2, 40)))
     electric = electric_quadrupole(sky)
     magnetic = np.stack([electric[:, 1], -electric[:, 0]], axis=1)
-    known: dict[tuple[Kind, int], tuple[str, Sequence[str], Array]] = {
-        ("t", 1): ("R", "xyz", rotation(sky)),
-        ("s", 1): ("G", "xyz", flow(sky)),
-    }
+    known: dict[tuple[Kind, int], tuple[str, Sequence[str], Array]] = {}
+    known |= {("t", 1): ("R", "xyz", rotation(sky)), ("s", 1): ("G", "xyz", flow(sky))}
     known |= {("t", 2): ("M", QUADRUPOLE, magnetic), ("s", 2): ("E", QUADRUPOLE, electric)}
     names, rows, start = list[str](), [np.zeros((0, len(block.labels)))], 0
     fields = block.derivatives(sky)
@@ -347,7 +345,7 @@ def require_mission_name(name: str) -> None:
     """Raise ValueError for a name of a mission that cannot stand before unknowns."""
     known = {one.removesuffix(":L") for one in KNOWN}
     if not (name.isascii() and name.replace("-", "_").isidentifier()) or name in known:
-        raise ValueError(f"mission {name!r}: a name is letters, digits, _ and -, no digit first, and no unknowns")
+        raise ValueError(f"mission {name!r}: a name is letters, digits, _ and -, no digit first, none of the unknowns")
 
 
 def _blocks(names: Sequence[str], bins: Bins | None, columns: Mapping[str, Array]) -> list[Block]:

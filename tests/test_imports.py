@@ -39,7 +39,7 @@ OF_LIBRARIES = {
     "csv importlib json sys",
 }
 # Of the core, the experiment and what it is made of know the contract.
-KNOWS_THE_CONTRACT = "core.parameters core.scenario core.experiment core.missions core.catalogues core.errors"
+KNOWS_THE_CONTRACT = "core.parameters core.setup core.experiment core.missions core.catalogues core.errors"
 FILES = {
     ".".join(path.relative_to(ROOT / folder).with_suffix("").parts): path
     for folder, top in (("", "core"), ("linksweep", "linksweep"), ("", "sweep"))

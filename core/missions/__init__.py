@@ -325,12 +325,8 @@ def mission_from_table(table: Mapping[str, Any], load: Callable[[str], Function]
     if read.problems or motions is None or positions is None:
         raise DefinitionError(read.problems)
     # what decides the numbers and nothing else: with another name or unit of sigma, results are still found
-    identity: dict[str, Any] = {
-        "nominal_length_yr": length,
-        "faint_limit_mag": limit if limit < np.inf else None,
-        "sigma_pm": _identity(motions),
-        "sigma_pos": _identity(positions),
-    }
+    identity: dict[str, Any] = {"nominal_length_yr": length, "faint_limit_mag": limit if limit < np.inf else None}
+    identity |= {"sigma_pm": _identity(motions), "sigma_pos": _identity(positions)}
     if floor != Floor():
         identity["floor_mas"] = [floor.pos_mas, floor.pm_mas_yr]
     source = table.get("source") or "a mission of the study"

@@ -104,9 +104,8 @@ def with_new_rows(problem: Problem, epochs: Sequence[float], error: float, appar
     values, errors = np.full((2, 5, n * times), np.nan)
     values[:2] = np.tile(problem.satellite.values[:2], times)
     errors[:2] = error
-    new = Astrometry(
-        values, errors, np.repeat(np.asarray(epochs, dtype=np.float64), n), apparent=np.full(n * times, apparent)
-    )
+    at = np.repeat(np.asarray(epochs, dtype=np.float64), n)
+    new = Astrometry(values, errors, at, apparent=np.full(n * times, apparent))
     source = np.concatenate([problem.source, np.tile(np.arange(n), times)])
     return replace(problem, rows=joined(problem.rows, new), source=source)
 

@@ -168,12 +168,10 @@ def _padded(problem: Problem, wanted: Mapping[str, Flags]) -> _Padded:
     whole = partials @ star.covariance() @ partials.swapaxes(1, 2) / MAS**2
     whole += np.where(present[:, :, None] * present[:, None] > 0.0, of_rows.reshape(n, m, m) / MAS**2, np.eye(m))
     five = partials[..., :5]
-    parts = [
-        (five * at[:, None]) @ five.swapaxes(1, 2)
-        if label.startswith(SATELLITE)
-        else by_source(at)[..., None] * np.eye(m)
-        for label, at in wanted.items()
-    ]
+    parts = []
+    for label, at in wanted.items():
+        of_star = label.startswith(SATELLITE)
+        parts.append((five * at[:, None]) @ five.swapaxes(1, 2) if of_star else by_source(at)[..., None] * np.eye(m))
     # what is left does not depend on parameters that the satellite lacks: along these there is nothing
     left, singular, _ = np.linalg.svd(five * ~star.present.T[:, None])
     gone = np.arange(m) < np.sum(singular > SMALLEST_DERIVATIVE, axis=1)[:, None]

@@ -920,12 +920,11 @@ def match(
     """
     from linksweep.sweep.search import search as galaxy_search
 
-    outputs = galaxy_search.Outputs(output, table, figure)
     plan = galaxy_search.plan_search(stars, galaxies, supplement, **search)
-    summary = galaxy_search.summarise(galaxy_search.find_galaxies(plan, outputs, overwrite))
+    summary = galaxy_search.summarise(galaxy_search.find_galaxies(plan, output, table, figure, overwrite))
     if as_json:
         cli.put(to_json(summary))
     else:
         cli.print_tables(galaxy_search.summary_tables(summary), ["", *galaxy_search.summary_lines(summary)])
-    for path in outputs.paths():
+    for path in filter(None, (output, table, figure)):
         click.echo(f"wrote {path}", err=True)

@@ -19,7 +19,7 @@ from scipy.special import chdtrc, ndtri
 
 from linksweep.core import missions
 from linksweep.core.frames import DEGREE, GALACTIC_AXES, Array, position
-from linksweep.core.scenario import scenario
+from linksweep.core.setup import scenario
 from linksweep.core.tie.problem import LARGE_SHARE
 from linksweep.sweep import formatting
 from linksweep.sweep.contract import Named, SweepError, shown, suggest

@@ -559,53 +559,39 @@ MAX_BACKGROUND = 30_000
 """More background points would fill the map: of a larger number a random share is drawn, and the legend gives it."""
 
 
-@dataclass(frozen=True)
-class Outputs:
-    """The files to write; None for those that are not wanted."""
-
-    ecsv: Path | None = None
-    table: Path | None = None
-    sky_map: Path | None = None
-
-    def paths(self) -> list[Path]:
-        """Return the paths of the files that are wanted."""
-        return [path for path in (self.ecsv, self.table, self.sky_map) if path is not None]
-
-
-def find_galaxies(search: Search, outputs: Outputs | None = None, overwrite: bool = False) -> SearchResult:
-    """Read the tables, match them and write the requested files, each in one step.
+def find_galaxies(
+    search: Search, ecsv: Path, table: Path | None = None, figure: Path | None = None, overwrite: bool = False
+) -> SearchResult:
+    """Read the tables, match them and write the matches as ECSV, and where asked for in 46 bytes a row and as a map,
+    each in one step.
 
     Raises SweepError for all that is wrong with tables, options and names of files; then nothing is written.
     """
-    outputs = outputs or Outputs()
-    _check(outputs, search, overwrite)  # better before a long search than after it
-    result = find_matches(search)
-    contents: dict[Path, bytes] = {}
-    if outputs.table is not None:
+    paths = [ecsv, *([] if table is None else [table]), *([] if figure is None else [figure])]
+    _check(search, paths, ecsv, figure, overwrite)  # better before a long search than after it
+    result, text, drawn = find_matches(search), io.StringIO(), io.BytesIO()
+    matches_table(result).write(text, format="ascii.ecsv")
+    contents, columns = {ecsv: text.getvalue().encode()}, match_columns(result)
+    if table is not None:
         if without := [path for name, path in search.stars.items() if TYC[0] not in result.stars[name]]:
             needed = "the 46-byte table needs columns TYC1, TYC2 and TYC3, or TYC with strings like '1-13-1'"
             raise SweepError([f"{path}: {needed}" for path in without])
-        contents[outputs.table] = galaxy_table(match_columns(result)).encode("ascii")
-    if outputs.ecsv is not None:
-        text = io.StringIO()
-        matches_table(result).write(text, format="ascii.ecsv")
-        contents[outputs.ecsv] = text.getvalue().encode()
-    if outputs.sky_map is not None:
-        drawn, background = io.BytesIO(), pd.concat([table[["ra", "dec"]] for table in result.galaxies.values()])
-        figure = sky_map(match_columns(result), background)
-        figure.savefig(drawn, format=outputs.sky_map.suffix[1:].lower(), dpi=200)
-        contents[outputs.sky_map] = drawn.getvalue()
+        contents[table] = galaxy_table(columns).encode("ascii")
+    if figure is not None:
+        background = pd.concat([one[["ra", "dec"]] for one in result.galaxies.values()])
+        sky_map(columns, background).savefig(drawn, format=figure.suffix[1:].lower(), dpi=200)
+        contents[figure] = drawn.getvalue()
     for path, content in contents.items():
         write(path, content, overwrite)
     return result
 
 
-def _check(outputs: Outputs, search: Search, overwrite: bool) -> None:
-    """Raise SweepError if an output cannot or must not be written."""
+def _check(search: Search, paths: Sequence[Path], ecsv: Path, figure: Path | None, overwrite: bool) -> None:
+    """Raise SweepError if one of the ``paths`` to be written cannot or must not be."""
     problems: list[str] = []
     inputs = {path.resolve() for path in (search.stars | search.galaxies).values()}
-    wanted = [path.resolve() for path in outputs.paths()]
-    for path in outputs.paths():
+    wanted = [path.resolve() for path in paths]
+    for path in paths:
         parent = next(p for p in path.absolute().parents if p.exists())
         if path.resolve() in inputs:
             problems.append(f"{path} is one of the tables that are read")
@@ -617,10 +603,10 @@ def _check(outputs: Outputs, search: Search, overwrite: bool) -> None:
             problems.append(f"{path} exists; --overwrite replaces it")
         elif not parent.is_dir() or not os.access(parent, os.W_OK | os.X_OK):
             problems.append(f"{path} cannot be written: {parent} is not a directory that can be written")
-    for output, suffixes in ((outputs.ecsv, (".ecsv",)), (outputs.sky_map, MAP_SUFFIXES)):
+    for output, suffixes in ((ecsv, (".ecsv",)), (figure, MAP_SUFFIXES)):
         if output is not None and output.suffix.lower() not in suffixes:
             problems.append(f"{output} must end in {' or '.join(suffixes)}")
-    if outputs.sky_map is not None and find_spec("matplotlib") is None:
+    if figure is not None and find_spec("matplotlib") is None:
         problems.append("a map needs matplotlib: install linksweep[plot]")
     if problems:
         raise SweepError(list(dict.fromkeys(problems)))

@@ -464,10 +464,8 @@ def _check_hours(name: str, values: Array, size: float) -> None:
         doubt = "has a name that suggests units of time"
     else:
         return
-    raise ValueError(
-        f'column {name!r} has no unit and {doubt}  Say it: units = {{ ra = "deg" }} in a study, --unit ra=deg with a '
-        'command, or "hourangle"'
-    )
+    said = f'column {name!r} has no unit and {doubt}  Say it: units = {{ ra = "deg" }} in a study'
+    raise ValueError(f'{said}, --unit ra=deg with a command, or "hourangle"')
 
 
 # ---- rows by a condition

@@ -211,8 +211,7 @@ def _design(values: tuple[tuple[str, Any], ...]) -> Design:
     whole = _within(_set_up(tuple((name, point[name]) for name in DECIDING)), point)
     problem = whole.problem
     if not point["correlations"]:
-        both = problem.satellite, problem.rows
-        ours, rows = (replace(one, correlations=None) for one in both)
+        ours, rows = (replace(one, correlations=None) for one in (problem.satellite, problem.rows))
         problem = replace(problem, satellite=ours, rows=rows)
         whole = replace(whole, problem=problem)
     matched = np.unique(problem.source)
@@ -243,9 +242,8 @@ def _set_up(values: tuple[tuple[str, Any], ...]) -> Setup:
         chosen["known_spin"] = point["known_spin_table"].path
     options = Options(**chosen)
     everything = reference is None or point["candidates"] == "all"
-    whole = setup.set_up(
-        point["satellite"].path, reference.path if reference else setup.ZERO_MOTION, options, everything
-    )
+    right = reference.path if reference else setup.ZERO_MOTION
+    whole = setup.set_up(point["satellite"].path, right, options, everything)
     if reference is None and not zero_motion:
         none = np.zeros(0, dtype=np.int64)
         whole = replace(whole, problem=replace(whole.problem, rows=whole.problem.rows.taken(none), source=none))

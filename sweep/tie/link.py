@@ -27,10 +27,10 @@ from linksweep.sweep.result import require_free, stored_table, write_at_once
 from linksweep.sweep.tables.columns import ALONG_RA, CORRELATIONS, Columns, unit_of
 from linksweep.sweep.tables.options import number
 from linksweep.sweep.tables.reader import read_table
-from linksweep.sweep.tie.epochs import described
+from linksweep.sweep.tie import tables as files
 from linksweep.sweep.tie.options import FORECAST, SIGNS, TABLE, TIE, ApplyOptions, ForecastOptions, Options, listed
 from linksweep.sweep.tie.setup import DECLARED, FROM_ROWS, Setup, in_row_groups, parse_bins, set_up, set_up_row_groups
-from linksweep.sweep.tie.tables import QUANTITIES, UNITS, as_read, astrometric_table, built_in, digest_of
+from linksweep.sweep.tie.tables import QUANTITIES, UNITS, astrometric_table, built_in
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -57,12 +57,8 @@ HEAVIEST = 100
 VECTOR_POWER = 8.0 * np.pi / 3.0
 
 # The field whose degree 1 a block is.
-FIELD_OF = {
-    "orientation": "position toroidal",
-    "position_glide": "position spheroidal",
-    "spin": "motion toroidal",
-    "glide": "motion spheroidal",
-}
+FIELD_OF = {"orientation": "position toroidal", "position_glide": "position spheroidal"}
+FIELD_OF |= {"spin": "motion toroidal", "glide": "motion spheroidal"}
 FIELDS = tuple(FIELD_OF.values())
 
 
@@ -399,7 +395,7 @@ def as_dataset(link: Link, options: Options, per_source: bool = True) -> "xr.Dat
         if len(problem.rows) <= ROWS_KEPT and np.any(problem.rows.present) and np.any(problem.satellite.present):
             variables |= _of_rows(link, sign)
         if setup.epochs is not None:
-            variables |= described(setup.epochs, problem, solved, link.clipped.factors)
+            variables |= files.described(setup.epochs, problem, solved, link.clipped.factors)
     if (noise := link.noise) is not None:
         variables |= {
             "noise": ("noise", list(noise.size)),
@@ -733,7 +729,7 @@ def apply(
         link = stored.dataset
     path = built_in(Path(table)) if isinstance(table, (str, Path)) else Path("the table")
     raw = read_table(path) if isinstance(table, (str, Path)) else Table(table)  # without quantities
-    how = as_read(link.attrs, raw, digest_of(path) if isinstance(table, (str, Path)) else "", asked)
+    how = files.as_read(link.attrs, raw, files.digest_of(path) if isinstance(table, (str, Path)) else "", asked)
     whole = astrometric_table(raw, str(path), "", how)
     stars = whole.astrometry
     notes = [*_notes(link, stars, inverse, str(path)), *(note for note in whole.notes if "unit" in note)]

@@ -27,7 +27,6 @@ from linksweep.sweep.tables import reader
 from linksweep.sweep.tables.columns import conditions
 from linksweep.sweep.tables.options import by_table, number, parameter
 from linksweep.sweep.tie import tables as files
-from linksweep.sweep.tie.epochs import Epochs, with_observations
 from linksweep.sweep.tie.options import SIDES, SIGNS, TABLE, Options, listed
 from linksweep.sweep.tie.tables import SOURCE_NAMES, AstrometricTable, TableOptions, astrometric_table, read_table
 
@@ -147,7 +146,7 @@ class Setup:
     problem: Problem
     names: NDArray[Any]
     notes: tuple[str, ...] = ()
-    epochs: Epochs | None = None
+    epochs: files.Epochs | None = None
     jitter: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def attributes(self) -> dict[str, Any]:
@@ -181,7 +180,7 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
     notes, epochs = left.named_notes(), None
     if options.epochs:
         observed = list(dict(options.epochs).values())
-        left, epochs = with_observations(left, observed, dict(options.star_models), options.orbits)
+        left, epochs = files.with_observations(left, observed, dict(options.star_models), options.orbits)
         notes += epochs.notes
     tables, matches, parts = {SIDES[0]: left}, [], []
     for frame, (name, path) in enumerate({SIDES[1]: str(files.path_of(reference)), **missions}.items()):
@@ -436,8 +435,8 @@ def match_notes(satellite: AstrometricTable, table: AstrometricTable, matched: M
     """
     name, notes = Path(table.path).name, []
     if matched.releases:
-        both = " and ".join(matched.releases)
-        notes.append(f"identifiers of {both} are different names; stars are named as in {name}")
+        releases = " and ".join(matched.releases)
+        notes.append(f"identifiers of {releases} are different names; stars are named as in {name}")
     if rows.further is not None:
         notes.append(f"accelerations in {name} are not compared: its rows are of their epochs")
     if len(left := np.flatnonzero(matched.place < 0)):

@@ -13,8 +13,7 @@ from linksweep.core.experiment import link
 from linksweep.core.fields import Field, ZonalErrors, parse_pattern, pattern_field, rms
 from linksweep.core.frames import DEGREE, GALACTIC_AXES, MAS, MICROARCSEC, LinkError, exact_differences, triad
 from linksweep.core.missions import CALIBRATED, MISSIONS, FunctionCurve, Mission, calibrate, mission_from_table
-from linksweep.core.scenario import scenario
-from linksweep.core.setup import ROWS, TILE, Prefixes, prepare
+from linksweep.core.setup import ROWS, TILE, Prefixes, prepare, scenario
 from linksweep.core.simulate import can_stack, simulate, simulate_stack
 from linksweep.core.unknowns import Objects, link_unknowns
 from linksweep.sweep.contract import Named
