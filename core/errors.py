@@ -270,9 +270,9 @@ ERROR_MODELS: Mapping[str, type[ErrorModel]] = {
 """The error models by the name that a study gives them."""
 
 
-def error_model(point: Point, side: str) -> ErrorModel:
-    """Return the error model of one side, "reference" or "satellite"."""
-    return ERROR_MODELS[point[f"{side}_errors"]].from_point(point, side)
+def error_models(point: Point) -> list[ErrorModel]:
+    """Return the error models of the reference and the satellite at a point."""
+    return [ERROR_MODELS[point[f"{side}_errors"]].from_point(point, side) for side in SIDES]
 
 
 @lru_cache(maxsize=2**16)

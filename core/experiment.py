@@ -11,7 +11,7 @@ import numpy as np
 
 from linksweep.core import setup
 from linksweep.core.catalogues import CATALOGUES, RANDOM_SKY, SIDES, File
-from linksweep.core.errors import ERROR_MODELS, ErrorModel
+from linksweep.core.errors import ERROR_MODELS, ErrorModel, error_models
 from linksweep.core.frames import Array
 from linksweep.core.missions import CurveError, MissionUnavailableError
 from linksweep.core.parameters import OUTPUTS, PARAMETERS, SAMPLE_OUTPUTS, SHARED, UNITS
@@ -51,7 +51,7 @@ def check(point: Point) -> str | None:
         return problem
     try:
         # before any error is computed: a curve may not reach these magnitudes
-        for side, model in zip(SIDES, models := setup.error_models(point), strict=True):
+        for side, model in zip(SIDES, models := error_models(point), strict=True):
             if problem := model.problem(point, side, setup.catalogue_kind(point)):
                 return problem
         errors = setup.expected_errors(point, models)
@@ -142,7 +142,7 @@ def warn(point: Point) -> list[str]:
     """Return sentences about magnitudes outside of a curve's range, about what is not measured, about positions of
     different epochs, and about objects that decide nearly alone.
     """
-    kind, models = setup.catalogue_kind(point), setup.error_models(point)
+    kind, models = setup.catalogue_kind(point), error_models(point)
     errors = setup.expected_errors(point, models)
     sentences = [model.warning(point, kind) for model in models]
     sentences += [_not_measured(errors), _epochs(point), _heaviest(point, errors)]
@@ -203,7 +203,7 @@ def unused(point: Point) -> dict[str, str]:
         clauses["glide"] = "it is for aberration = true"
     if setup.zonal_errors(point) is None:
         clauses["zonal_length"] = "it is for zonal errors, zonal_pos or zonal_pm above 0"
-    errors = setup.expected_errors(point, setup.error_models(point))
+    errors = setup.expected_errors(point, error_models(point))
     position, motion = errors[..., :2].any(), errors[..., 2:].any()
     if position != motion:
         what, names = ("proper motions", OF_MOTIONS) if position else ("positions", ("zonal_pos",))
@@ -363,7 +363,7 @@ def cost(point: Point) -> float:
     A zonal error is a sum over harmonics, of which `HARMONICS` cost as much as a normal.
     """
     objects = setup.catalogue_kind(point).objects(point)
-    reference, satellite = (model.has_errors(objects) for model in setup.error_models(point))
+    reference, satellite = (model.has_errors(objects) for model in error_models(point))
     zonal = setup.zonal_errors(point)
     if point["method"] == "projected":
         unknowns = len(link_unknowns(bool(point["solve_glide"])))

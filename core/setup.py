@@ -25,8 +25,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from linksweep.core import frames
-from linksweep.core.catalogues import CATALOGUES, SIDES, Catalogue, CatalogueKind, NestedDraw
-from linksweep.core.errors import ErrorModel, error_model
+from linksweep.core.catalogues import CATALOGUES, Catalogue, CatalogueKind, NestedDraw
+from linksweep.core.errors import ErrorModel, error_models
 from linksweep.core.fields import Field, Pattern, Systematics, Vector, ZonalErrors, parse_pattern, rms
 from linksweep.core.frames import DEGREE, GALACTIC_AXES, MAS, OBSERVABLES, Array, Stack, UnlikeError, Weighting, along
 from linksweep.core.unknowns import ORIENTATION, SPIN, Objects
@@ -123,11 +123,6 @@ def catalogue_size(point: Point) -> int:
     """Return the number of objects of a point's catalogue."""
     n_obj = point["n_obj"]  # first: where it is set, the kind does not matter
     return catalogue_kind(point).size(point) if n_obj is None else int(n_obj)
-
-
-def error_models(point: Point) -> list[ErrorModel]:
-    """Return the error models of the reference and the satellite at a point."""
-    return [error_model(point, side) for side in SIDES]
 
 
 def expected_errors(point: Point, models: Sequence[ErrorModel]) -> Array:

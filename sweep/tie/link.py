@@ -6,9 +6,10 @@ import logging
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 from astropy.table import Table
 from astropy.units import Unit
 from scipy.spatial.transform import Rotation
@@ -31,9 +32,6 @@ from linksweep.sweep.tie import tables as files
 from linksweep.sweep.tie.options import FORECAST, SIGNS, TABLE, TIE, ApplyOptions, ForecastOptions, Options, listed
 from linksweep.sweep.tie.setup import DECLARED, FROM_ROWS, Setup, in_row_groups, parse_bins, set_up, set_up_row_groups
 from linksweep.sweep.tie.tables import QUANTITIES, UNITS, astrometric_table, built_in
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 # The experiment whose code the workers must have.
 EXPERIMENT = "linksweep.sweep.tie.experiment:tie"
@@ -271,7 +269,7 @@ def spectrum(unknowns: Unknowns, estimate: Array, covariance: Array, samples: fl
 class MisfitError(SweepError):
     """Tables whose chi2 is absurd; ``link`` is the dataset that they give all the same."""
 
-    def __init__(self, link: "xr.Dataset") -> None:
+    def __init__(self, link: xr.Dataset) -> None:
         self.link = link
         super().__init__(self.said("accept_misfit=True"))
 
@@ -292,7 +290,7 @@ def tie(
     resources: Resources | None = None,
     per_source: bool = True,
     **options: Any,
-) -> "xr.Dataset":
+) -> xr.Dataset:
     """Solve for the link of two tables, reference - satellite.
 
     A table may be a file in any format that `sweep tie` reads, or the name of a built-in one: icrf2, icrf3, psrpi,
@@ -358,13 +356,11 @@ COORDINATES = (
 )
 
 
-def as_dataset(link: Link, options: Options, per_source: bool = True) -> "xr.Dataset":
+def as_dataset(link: Link, options: Options, per_source: bool = True) -> xr.Dataset:
     """Return the dataset of a link, in mas and mas/yr and in the sign of ``options``.
 
     Without ``per_source`` it has no dimensions source and row.
     """
-    import xarray as xr
-
     setup, problem, solved = link.setup, link.setup.problem, link.solution
     unknowns, sign = problem.unknowns, SIGNS[options.sign]
     main = next(iter(link.covariances))
@@ -544,7 +540,7 @@ def _of_bins(link: Link, errors: Array, sign: float) -> dict[str, Any]:
 # ---- a forecast
 
 
-def forecast(satellite: str | Path, reference: str | Path, unknowns: str | None = None, **options: Any) -> "xr.Dataset":
+def forecast(satellite: str | Path, reference: str | Path, unknowns: str | None = None, **options: Any) -> xr.Dataset:
     """Predict the formal errors of a link with further observations, and the sources to observe first.
 
     Args:
@@ -631,8 +627,6 @@ def forecast(satellite: str | Path, reference: str | Path, unknowns: str | None 
         **setup.attributes(),
         "notes": [*further, *setup.notes],
     }
-    import xarray as xr
-
     return xr.Dataset(variables, coords=coordinates, attrs=attributes)
 
 
@@ -680,7 +674,7 @@ ROTATION = link_unknowns()
 
 
 def apply(
-    link: "xr.Dataset | str | Path",
+    link: xr.Dataset | str | Path,
     table: str | Path | Table,
     output: str | Path | None = None,
     *,
@@ -755,7 +749,7 @@ def apply(
     return raw
 
 
-def _notes(link: "xr.Dataset", stars: Astrometry, inverse: bool, path: str) -> list[str]:
+def _notes(link: xr.Dataset, stars: Astrometry, inverse: bool, path: str) -> list[str]:
     """Return what is to be said of a link and a table; raises SweepError where one cannot be applied to the other."""
     blocks = dict.fromkeys(map(str, link["block"].values.tolist()))
     applied = [name for name in blocks if name.partition(":")[0] not in link.attrs["missions"]]
@@ -782,7 +776,7 @@ def _notes(link: "xr.Dataset", stars: Astrometry, inverse: bool, path: str) -> l
     return [*notes, "rows are correlated with each other by the link, whose covariance they share"]
 
 
-def _moved(stars: Astrometry, link: "xr.Dataset", inverse: bool) -> dict[str, Array]:
+def _moved(stars: Astrometry, link: xr.Dataset, inverse: bool) -> dict[str, Array]:
     """Return values, errors and correlations of stars in the other frame, in rad and rad/yr."""
     at = [link["unknown"].values.tolist().index(label) if label in link["unknown"] else -1 for label in ROTATION.labels]
     known = np.array(at) >= 0

@@ -1,17 +1,15 @@
 """Links and forecasts as tables, and the sentences below them."""
 
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import xarray as xr
 
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.contract.rows import p_value
 from linksweep.sweep.formatting import in_three_digits, prefixed, rounded, with_unit
 from linksweep.sweep.table_writer import Column, Table
-
-if TYPE_CHECKING:
-    import xarray as xr
 
 STEPS_SHOWN, UNKNOWNS_SHOWN = 10, 6  # how many steps of a clip a table has at least, and of how many unknowns
 # By how unknowns of positions begin: those of motions, which move them in a year.
@@ -19,7 +17,7 @@ RATES = {"epsilon_": "omega_", "position_glide_": "glide_", "vsh_position_": "vs
 META = ("sign", "epoch", "clip", "epoch_of_forecast", "release")  # attributes in the head of an ECSV table
 
 
-def headline(result: "xr.Dataset") -> list[str]:
+def headline(result: xr.Dataset) -> list[str]:
     """Return in a sentence how far a link turns and flows, with the components of these vectors and other unknowns; of
     a forecast the RMS error of each block of unknowns, now and with new observations.
     """
@@ -38,7 +36,7 @@ def headline(result: "xr.Dataset") -> list[str]:
     return sentences
 
 
-def _block_in_words(link: "xr.Dataset", block: str, unit: str, its: Any) -> str:
+def _block_in_words(link: xr.Dataset, block: str, unit: str, its: Any) -> str:
     """Return the length of a vector with its components, or a single unknown; '' for others, which have a table."""
     names, values = link.unknown.values[its], link.estimate.values[its]
     if [str(name)[-2:] for name in names] != ["_x", "_y", "_z"]:
@@ -52,19 +50,19 @@ def _block_in_words(link: "xr.Dataset", block: str, unit: str, its: Any) -> str:
     return f"{name} {with_unit(length, error, unit)} ({components})"
 
 
-def tables(result: "xr.Dataset") -> list[Table]:
+def tables(result: xr.Dataset) -> list[Table]:
     """Return the tables of a link or a forecast for reading.  The first has as its title what is needed to interpret
     them, in several lines.
     """
     return _link_tables(result) if "estimate" in result else _forecast_tables(result)
 
 
-def notes(result: "xr.Dataset") -> list[str]:
+def notes(result: xr.Dataset) -> list[str]:
     """Return the warnings of a link or a forecast."""
     return [f"note: {note}" for note in np.atleast_1d(result.attrs["notes"]) if note != result.attrs.get("misfit")]
 
 
-def records(result: "xr.Dataset") -> Table:
+def records(result: xr.Dataset) -> Table:
     """Return the unknowns with estimate and every error, or with the error at each stage of a forecast; in JSON beside
     the whole dataset.
     """
@@ -80,7 +78,7 @@ def records(result: "xr.Dataset") -> Table:
     return Table(columns, about=about, meta={name: result.attrs[name] for name in META if name in result.attrs})
 
 
-def of_stars(link: "xr.Dataset") -> Table:
+def of_stars(link: xr.Dataset) -> Table:
     """Return a row for each source: chi2 and how many observations it is of, Cook's distance, shares of the weight, and
     how far the solution moves without it (mas, mas/yr); raises SweepError for a dataset without sources.
     """
@@ -110,7 +108,7 @@ def _estimates(what: str, names: Any, estimate: Any, errors: Mapping[Any, Any], 
     return [_texts(what, names.values), *shown, _texts("unit", units.values)]
 
 
-def difference(link: "xr.Dataset", other: "xr.Dataset") -> "xr.Dataset":
+def difference(link: xr.Dataset, other: xr.Dataset) -> xr.Dataset:
     """Return one link minus another: ``estimate``, ``error`` and ``covariance`` of the unknowns of both, and chi2.
 
     Both are taken in the sign of the first, the orientation of the other at the epoch of the first.  The covariance is
@@ -135,8 +133,6 @@ def difference(link: "xr.Dataset", other: "xr.Dataset") -> "xr.Dataset":
         >>> float(difference(link, link).chi2)
         0.0
     """
-    import xarray as xr
-
     if any(one is None or "chi2_expected" not in one for one in (link, other)):
         raise SweepError("a difference is one of two links, which sweep tie -o writes")
     for name in ("known_orientation", "known_spin"):
@@ -178,7 +174,7 @@ def difference(link: "xr.Dataset", other: "xr.Dataset") -> "xr.Dataset":
     )
 
 
-def of_difference(made: "xr.Dataset") -> Table:
+def of_difference(made: xr.Dataset) -> Table:
     """Return the table of a difference of links."""
     about = {name: made[name].item() for name in ("chi2", "probability")} | made.attrs
     title = f"difference of the links, orientation at {about['epoch']:.2f}; chi2 {about['chi2']:.4g} of "
@@ -187,7 +183,7 @@ def of_difference(made: "xr.Dataset") -> Table:
     return Table(columns, title, about)
 
 
-def _link_tables(link: "xr.Dataset") -> list[Table]:
+def _link_tables(link: xr.Dataset) -> list[Table]:
     about, sign = link.attrs, link.attrs["sign"]
     head = [
         *([f"warning: {about['misfit']}", ""] if about.get("misfit") else []),
@@ -233,7 +229,7 @@ def _link_tables(link: "xr.Dataset") -> list[Table]:
     return made
 
 
-def _forecast_tables(plan: "xr.Dataset") -> list[Table]:
+def _forecast_tables(plan: xr.Dataset) -> list[Table]:
     about = plan.attrs
 
     def errors(names: Iterable[Any], values: Any, title: str) -> Table:

@@ -16,8 +16,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 from astropy.units import Unit
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from linksweep.core.frames import ARCSEC, DEGREE, MAS, Array, Flags, Indices, LinkError
 from linksweep.core.tie import astrometry as core, mistakes
@@ -643,8 +645,6 @@ def read_observations(path: Path) -> Any:
 
     Raises SweepError that names columns, units and numbers that are wrong.
     """
-    import pandas as pd
-
     waiting = socket.getdefaulttimeout()
     try:
         # Its import asks the Gaia archive for news, and prints that there are none: behind a silent firewall only after
@@ -708,8 +708,6 @@ def with_observations(
     ``models`` are those of `MODELS` by star, or for "all"; ``orbits`` is a table of the elements of orbits.  Raises
     SweepError for what is wrong in the files, sources that are not in the table, and paths that are not determined.
     """
-    import pandas as pd
-
     handlers = logging.root.handlers[:]
     frame = pd.concat([read_observations(Path(file)) for file in files], ignore_index=True)
     from gaiasupdate.constants import DR4_REFERENCE_EPOCH
@@ -776,8 +774,6 @@ def _models(
 
 def _orbits(place: Mapping[str, int], path: Path, epoch: float) -> dict[int, Array]:
     """Return the elements of orbits, as `bends` needs them, by row of the satellite's table."""
-    from scipy.spatial.transform import Rotation
-
     table = read_file(path)
     read, star = Columns(table, str(path)), first_found(SOURCE_NAMES, table.colnames)
     shape = THIELE_INNES if THIELE_INNES[0] in table.colnames else CAMPBELL
