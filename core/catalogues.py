@@ -165,11 +165,14 @@ class CatalogueKind:
         """Return the parameters, beside n_obj, on which the catalogue of a point depends."""
         return self.parameters if self.has_random_positions(point) else self.parameters - RANDOM_SKY
 
+    number = 0
+    """How many objects there are if a point does not set n_obj, unless that depends on the point."""
+
     def available(self, point: Point) -> int:
         """Return how many objects there are if a point does not set n_obj; raises ValueError or SweepError where that
         is not known.
         """
-        raise NotImplementedError
+        return self.number
 
     def magnitudes(self, point: Point) -> tuple[float, float]:
         """Return two magnitudes between which all objects lie; NaN where they are not known."""
@@ -250,10 +253,6 @@ class Synthetic(CatalogueKind):
 
     parameters = RANDOM_SKY | {"v_min", "v_max", "mean_pm", "pm_distribution"}
     draws_several = True
-
-    def available(self, point: Point) -> int:
-        """Return 0: there are none unless a study says how many."""
-        return 0
 
     def magnitudes(self, point: Point) -> tuple[float, float]:
         """Return v_min and v_max."""
@@ -415,10 +414,7 @@ class Galaxies(CatalogueKind):
 
     parameters = RANDOM_SKY | {"v_min", "v_max"}
     draws_several = True
-
-    def available(self, point: Point) -> int:
-        """Return the number of certain galaxies."""
-        return N_GALAXIES
+    number = N_GALAXIES
 
     def magnitudes(self, point: Point) -> tuple[float, float]:
         """Return v_min, or a limit that no galaxy is brighter than, and v_max."""
@@ -483,10 +479,7 @@ class RadioStars(CatalogueKind):
     parameters = RANDOM_SKY | {"positions"}
     extragalactic = False
     draws_several = True
-
-    def available(self, point: Point) -> int:
-        """Return the number of stars."""
-        return len(RADIO_STARS)
+    number = len(RADIO_STARS)
 
     def magnitudes(self, point: Point) -> tuple[float, float]:
         """Return the brightest and the faintest of them."""
@@ -582,8 +575,7 @@ def _own_errors(read: Any, prefix: str, n_obj: int) -> OwnErrors | None:
     if not pairs:
         return OwnErrors(sigma * MAS)
     # a matrix that is singular to rounding has no Cholesky factor, from which noise is drawn
-    impossible = np.linalg.eigvalsh(correlation)[:, 0] <= 1e-9
-    read.check(impossible, "impossible correlations (not positive definite)")
+    read.check(np.linalg.eigvalsh(correlation)[:, 0] <= 1e-9, "impossible correlations (not positive definite)")
     return OwnErrors(sigma * MAS, correlation)
 
 

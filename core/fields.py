@@ -185,7 +185,7 @@ def parse_pattern(text: str) -> Pattern:
     for entry in filter(None, (entry.strip() for entry in text.split(","))):
         name, equals, number = (word.strip() for word in entry.partition("="))
         if (term := _terms_by_label().get(name)) is None:
-            known = f"t_L_0, t_L_M_re, t_L_M_im (toroidal), s_L_0, ... (spheroidal) of degrees L = 1 to {HIGHEST_DEGREE}"
+            known = f"t_L_0, t_L_M_re, t_L_M_im (toroidal), s_L_0 ... (spheroidal) of degrees L = 1 to {HIGHEST_DEGREE}"
             raise ValueError(f"{name!r} is no vector spherical harmonic; those are {known}, M = 1 to L, like s_2_1_re")
         if term in pattern:
             raise ValueError(f"{name} twice")

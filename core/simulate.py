@@ -56,8 +56,7 @@ def simulate_stack(scenario: Scenario, n_sim: int, streams: Sequence[Streams]) -
     Raises UnlikeError for catalogues that cannot be computed together (see `can_stack`), and LinkError as `simulate`;
     the generators cannot be used again then.
     """
-    (sums,) = _simulate([scenario], n_sim, streams, (len(streams),), False)
-    return sums
+    return _simulate([scenario], n_sim, streams, (len(streams),), False)[0]
 
 
 def can_stack(scenario: Scenario, n_sim: int) -> bool:

@@ -328,8 +328,7 @@ def parse_unknowns(
     names = [name.strip() for name in text.split(",") if name.strip()]
     if not names:
         raise ValueError(f"no unknowns; known are {', '.join(KNOWN)}")
-    plain = [name for name in names if name.partition(":")[0] not in missions]
-    blocks = _blocks(plain, bins, columns or {})
+    blocks = _blocks([name for name in names if name.partition(":")[0] not in missions], bins, columns or {})
     for number, mission in enumerate(missions, 1):
         inside = [name.partition(":")[2] for name in names if name.partition(":")[0] == mission]
         for block in _blocks(inside, None, {}):

@@ -343,9 +343,7 @@ class Problem:
 
     def objects(self, star: Astrometry) -> tuple[Objects, Array]:
         """Return the data for derivatives, and the epoch of each source minus that of the unknowns."""
-        ra, dec = star.values[:2]
-        pmra, pmdec = np.nan_to_num(star.values[3:])
-        objects = Objects(ra, dec, pmra, pmdec, star.columns)
+        objects = Objects(*star.values[:2], *np.nan_to_num(star.values[3:]), star.columns)
         return objects, np.where(np.isfinite(star.epoch), star.epoch - self.epoch, 0.0)
 
     def taken_out(self, star: Astrometry) -> Array | None:
@@ -795,8 +793,8 @@ def sources_of(problem: Problem) -> Sources:
 
 
 def _cell_sums(problem: Problem, factors: Array | Flags | None) -> NormalSums:
-    ra, dec = problem.satellite.values[:2]
-    return group_sums(problem, sky_cells(ra, dec, DIVISIONS), 2 * DIVISIONS**2, factors)
+    cells = sky_cells(*problem.satellite.values[:2], DIVISIONS)
+    return group_sums(problem, cells, 2 * DIVISIONS**2, factors)
 
 
 def _heaviest(problem: Problem, number: int) -> tuple[Array, Indices, NormalSums]:
@@ -976,8 +974,7 @@ def _one_by_one(sources: Sources, number: Any) -> Clipped:
     chosen: int | None = number
     while len(trajectory) <= max(TRAJECTORY, number or 0) and factors.sum() > 1:
         squares = sources.discrepancies(trajectory[-1].estimate)
-        ratio = np.where(factors > 0.0, squares / np.maximum(sources.count, 1.0), -1.0)
-        worst = int(np.argmax(ratio))
+        worst = int(np.argmax(np.where(factors > 0.0, squares / np.maximum(sources.count, 1.0), -1.0)))
         if chosen is None and chdtrc(sources.count[worst], squares[worst]) * factors.sum() > SIGNIFICANCE:
             chosen = len(trajectory) - 1
         factors[worst] = 0.0

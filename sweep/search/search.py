@@ -29,7 +29,7 @@ from linksweep.sweep.search.options import SearchOptions
 from linksweep.sweep.stores.location import Folder
 from linksweep.sweep.table_writer import Column, Table
 from linksweep.sweep.tables.columns import EPOCHS, Columns, conditions, rows_where, unit_of
-from linksweep.sweep.tables.options import by_table, number
+from linksweep.sweep.tables.options import by_table, number, refused
 from linksweep.sweep.tables.reader import read_table
 
 MAX_RADIUS = 1.0 * DEGREE
@@ -370,11 +370,9 @@ def _numbers(asked: SearchOptions, name: str, common: Sequence[str], further: Se
     low, high, unit = (*EPOCHS, "yr") if name == "ref_epoch" else (0.0, MAX_RADIUS / ARCSEC, "arcsec")
     allowed = Parameter(name, "float", unit=unit, above=low, maximum=high)
     of_tables = tuple((f"{table.removesuffix(':')}:", text) for table, text in getattr(asked, name))
-    try:
-        said = by_table(name, of_tables, [*common, *further], common)
+    said = by_table(name, of_tables, [*common, *further], common)
+    with refused():
         return {table: allowed.parse(number(one[""])) for table, one in said.items()}
-    except ValueError as error:
-        raise SweepError(str(error)) from error
 
 
 def find_matches(search: Search) -> SearchResult:
@@ -405,10 +403,8 @@ def find_matches(search: Search) -> SearchResult:
     radii = search.said["radius"]
     each = ((_positions(one), one["PGC"].to_numpy(), radii[name] * ARCSEC) for name, one in galaxies.items())
     catalogues = [GalaxyCatalogue(*one) for one in each]
-    try:
+    with refused():
         return SearchResult(search, stars, galaxies, cross_match(positions, supplement, catalogues, asked))
-    except ValueError as error:
-        raise SweepError(str(error)) from error
 
 
 def _positions(table: pd.DataFrame) -> Positions:
@@ -420,8 +416,7 @@ def _star_positions(table: pd.DataFrame, epoch: float) -> Positions:
     positions = _positions(table)
     if "pmra" not in table:
         return positions
-    none = np.zeros(len(table))
-    motions = {key: np.nan_to_num(table.get(key, none)) * MAS for key in MOTIONS}
+    motions = {key: np.nan_to_num(table.get(key, np.zeros(len(table)))) * MAS for key in MOTIONS}
     return at_epoch(positions, **motions, years=epoch - table["ref_epoch"].to_numpy())
 
 

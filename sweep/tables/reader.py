@@ -144,9 +144,7 @@ def _text(path: Path, content: bytes, texts: Collection[str]) -> Any:
         return _icrf(text)
     if (readme := readme_of(path)) is not None:
         return _cds(path, text, readme)
-    if _HIP2.match(text):
-        return _hipparcos(text)
-    return _delimited(text, texts)
+    return _hipparcos(text) if _HIP2.match(text) else _delimited(text, texts)
 
 
 def _require_one(tables: Sequence[str]) -> None:

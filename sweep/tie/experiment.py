@@ -305,8 +305,7 @@ def evaluate(
     points: Sequence[Point], n_sim: int, rng: np.random.Generator, catalogue_rng: np.random.Generator
 ) -> dict[str, Array]:
     """Return the sums of `SUMS` over ``n_sim`` draws of the errors of each point's tables."""
-    sums = samples(points, n_sim, rng, catalogue_rng)
-    return {name: sums[name] for name in SUMS}
+    return {name: sums for name, sums in samples(points, n_sim, rng, catalogue_rng).items() if name in SUMS}
 
 
 def _simulated(point: Point, n_sim: int, rng: np.random.Generator) -> dict[str, Array]:
@@ -338,8 +337,7 @@ def _simulated(point: Point, n_sim: int, rng: np.random.Generator) -> dict[str, 
     sums |= {name: np.asarray(values.sum(axis=0)) for name, values in (moments | {"n_kept_drawn": kept}).items()}
     sums |= {f"{name}_squares": np.asarray(np.sum(values**2, axis=0)) for name, values in moments.items()}
     for name, size in (("coverage", formal), ("coverage_scaled", formal * np.sqrt(ratio)[:, None])):
-        inside = np.where(np.isnan(error) | np.isnan(size), np.nan, np.abs(error) <= size)
-        sums[name] = inside.sum(axis=0)
+        sums[name] = np.where(np.isnan(error) | np.isnan(size), np.nan, np.abs(error) <= size).sum(axis=0)
     return sums | {"bins_squares": np.sum(in_bins**2, axis=0), "drawn": error + components(truth / MAS, labels)}
 
 

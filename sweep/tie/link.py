@@ -26,7 +26,7 @@ from linksweep.sweep.executing.executor import mapped
 from linksweep.sweep.executing.pools import NO_LIMITS, Limits, Resources
 from linksweep.sweep.result import require_free, stored_table, write_at_once
 from linksweep.sweep.tables.columns import ALONG_RA, CORRELATIONS, Columns, unit_of
-from linksweep.sweep.tables.options import number
+from linksweep.sweep.tables.options import number, refused
 from linksweep.sweep.tables.reader import read_table
 from linksweep.sweep.tie import tables as files
 from linksweep.sweep.tie.options import FORECAST, SIGNS, TABLE, TIE, ApplyOptions, ForecastOptions, Options, listed
@@ -580,7 +580,7 @@ def forecast(satellite: str | Path, reference: str | Path, unknowns: str | None 
     setup = set_up(satellite, reference, asked, plan.all_sources)
     problem = setup.problem
     goal = planning.Goal(problem.unknowns, tuple(listed(plan.goal)), plan.criterion)
-    try:
+    with refused():
         _ = goal.parts  # raises for an unknown block
         future, old, further = released(problem, plan.release, plan.from_release, asked.epoch is None)
 
@@ -597,8 +597,6 @@ def forecast(satellite: str | Path, reference: str | Path, unknowns: str | None 
         stages |= {} if plan.release == TABLE else {plan.release: total}
         stages |= {"all observed": planned.matrices.sum(axis=0)} if add else {}
         by_epoch = [observed(epoch).matrices.sum(axis=0) for epoch in add]
-    except ValueError as error:
-        raise SweepError(str(error)) from error
     gain = [goal.value(total + one) for one in planned.matrices - base.matrices]
     variables: dict[str, Any] = {
         "error": (("stage", "unknown"), _errors(stages.values())),

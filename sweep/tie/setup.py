@@ -25,7 +25,7 @@ from linksweep.sweep.executing.executor import Map
 from linksweep.sweep.formatting import first_of, split_assignment
 from linksweep.sweep.tables import reader
 from linksweep.sweep.tables.columns import conditions
-from linksweep.sweep.tables.options import by_table, number, parameter
+from linksweep.sweep.tables.options import by_table, number, parameter, refused
 from linksweep.sweep.tie import tables as files
 from linksweep.sweep.tie.options import SIDES, SIGNS, TABLE, Options, listed
 from linksweep.sweep.tie.tables import SOURCE_NAMES, AstrometricTable, TableOptions, astrometric_table, read_table
@@ -66,12 +66,10 @@ def table_options(options: Options) -> dict[str, TableOptions]:
     """Return how each table is read, by its name; raises SweepError for tables that do not exist."""
     missions = list(dict(options.missions))
     names = [*SIDES, *missions]
-    try:
+    with refused():
         for mission in missions:
             require_mission_name(mission)
         years = [(f"{name}:", DECLARED["epoch"].parse(number(year))) for name, year in options.mission_epochs]
-    except ValueError as error:
-        raise SweepError(str(error)) from error
     epochs = by_table("mission_epochs", years, missions, ())
     epochs |= {"satellite": {"": options.satellite_epoch}, "reference": {"": options.reference_epoch}}
     marked = {n: by_table(n, [(f"{one}:", "") for one in listed(getattr(options, n))], names, ()) for n in MARKS}
@@ -211,11 +209,9 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
     epoch = default_epoch(stars.epoch) if options.epoch is None else options.epoch
     notes += _resting(stars, rows, source)
     problem = Problem(stars, rows, source, Unknowns(()), epoch, options.weights, tables=tuple(tables)[1:])
-    try:
+    with refused():
         unknowns = unknowns_for(options, problem, notes)
         problem = replace(problem, unknowns=unknowns, known=known_unknowns(options, stars))
-    except ValueError as error:  # LinkError is one
-        raise SweepError(str(error)) from error
     if epochs is not None:
         number = {row: k for k, row in enumerate(sources.tolist())}
         epochs = epochs._replace(rows=np.array([number.get(row, -1) for row in epochs.rows]))
@@ -721,10 +717,8 @@ def set_up_row_groups(
     if (more := len(said) - MOST_NOTES) > 0:
         said[MOST_NOTES:] = [f"{path.name}: {more} more such notes"]
     said += without_motion(n - sum(moving), n)
-    try:
+    with refused():
         unknowns = _unknowns(replace(groups[np.argmax(moving)], epoch=epoch), np.concatenate(samples), said)
-    except ValueError as error:  # LinkError is one
-        raise SweepError(str(error)) from error
     problems = [replace(group, epoch=epoch, unknowns=unknowns).problem for group in groups]
     numbers = np.arange(n + 1)  # one array for the sources and, from 1, for their names
     stars = Astrometry(values, np.broadcast_to(np.nan, (5, n)), np.broadcast_to(epoch, n))
