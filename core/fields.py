@@ -10,7 +10,6 @@ L^2)) where L is small. Cost and memory grow with the number of objects, not wit
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache
-from math import ceil
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -216,7 +215,7 @@ class ZonalErrors:
     @property
     def degree(self) -> int:
         """The highest degree."""
-        return max(1, ceil(REACH / self.length))
+        return max(1, int(np.ceil(REACH / self.length)))
 
     @property
     def coefficients(self) -> int:

@@ -18,7 +18,7 @@ Catalogues of one size may be computed together, as a stack: then arrays have a 
 belongs to one of them does not depend, to the last bit, on the others: sums go over the objects of each by itself.
 """
 
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Flags = NDArray[np.bool_]
+Texts = NDArray[np.str_]
+Names = NDArray[Any]  # of sources: texts, or numbers
 
 Stack = tuple[int, ...]
 """The leading axis of arrays: none for one catalogue, the number of catalogues for a stack."""

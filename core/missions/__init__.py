@@ -319,7 +319,8 @@ def mission_from_table(table: Mapping[str, Any], load: Callable[[str], Function]
     limit = read.number("faint_limit", MAGNITUDES, end)
     if limit > end:
         read.problem("faint_limit", f"{limit:g} mag: the table ends at {end:g} mag")
-    floor = Floor(*(read.number(key, read.sigmas, 0.0) / read.per_mas for key in ("floor_pos", "floor_pm")))
+    floor_pos, floor_pm = (read.number(key, read.sigmas, 0.0) / read.per_mas for key in ("floor_pos", "floor_pm"))
+    floor = Floor(floor_pos, floor_pm)
     valid = read.range((brightest, limit))
     if read.problems or motions is None or positions is None:
         raise DefinitionError(read.problems)

@@ -12,9 +12,8 @@ from typing import Any
 
 import erfa
 import numpy as np
-from numpy.typing import NDArray
 
-from linksweep.core.frames import ARCSEC, Array, Flags, Indices, triad
+from linksweep.core.frames import ARCSEC, Array, Flags, Indices, Texts, triad
 
 # The two parameters of each correlation: those of the five in the order of the Gaia archive, then those with
 # accelerations, and with a semi-axis.
@@ -57,11 +56,11 @@ class Astrometry:
     epoch: Array
     correlations: Array | None = None
     radial_velocity: Array | None = None
-    names: NDArray[np.str_] | None = None
+    names: Texts | None = None
     columns: Mapping[str, Array] = field(default_factory=dict)
     apparent: Flags = None  # type: ignore[assignment]  # none of them by default
     frame: Indices = None  # type: ignore[assignment]  # the reference's by default
-    calibrator: NDArray[np.str_] = None  # type: ignore[assignment]  # none by default
+    calibrator: Texts = None  # type: ignore[assignment]  # none by default
     shared: Array = None  # type: ignore[assignment]  # zero by default
     further: Array | None = None
     orbit: Array | None = None
@@ -157,7 +156,7 @@ KINDS = (
 )
 
 
-def kinds(rows: Astrometry) -> NDArray[np.str_]:
+def kinds(rows: Astrometry) -> Texts:
     """Return the kind of each row, which follows from what is present; shape (N,).
 
     A position alone is of a "single epoch" where it is marked so.  Raises ValueError where only one coordinate of a
@@ -168,7 +167,7 @@ def kinds(rows: Astrometry) -> NDArray[np.str_]:
         half = np.flatnonzero(present[pair[0]] != present[pair[1]])
         if len(half):
             raise ValueError(f"only one coordinate of the {what} has a value and an error in {named_rows(half)}")
-    kind: NDArray[np.str_] = np.array(KINDS, dtype="U24")[present[[0, 2, 3]].T @ np.array([1, 2, 4])]
+    kind: Texts = np.array(KINDS, dtype="U24")[present[[0, 2, 3]].T @ np.array([1, 2, 4])]
     kind[(kind == "position") & rows.apparent] = "single epoch"
     return kind
 
@@ -277,7 +276,7 @@ class Differences:
     covariance: Array
     present: Flags
     by_frames: Array
-    calibrator: NDArray[np.str_]
+    calibrator: Texts
     shared: Array
 
     def across(self, rows: Indices) -> Array:

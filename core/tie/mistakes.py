@@ -11,10 +11,9 @@ from itertools import combinations, product
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtr, chdtrc, chdtri
 
-from linksweep.core.frames import MAS, Array, Flags, Indices, LinkError
+from linksweep.core.frames import MAS, Array, Flags, Indices, LinkError, Names, Texts
 from linksweep.core.tie.astrometry import HALF_SPAN, PAIRS, Astrometry, by_errors, kinds
 from linksweep.core.tie.problem import NormalSums, Problem, Solution, discrepancies, solve, source_sums
 from linksweep.core.unknowns import POSITION, Block, Objects, Unknowns
@@ -119,7 +118,7 @@ class Cause(NamedTuple):
     hides: int = 0
 
 
-def misfit(problem: Problem, kept: Indices, solution: Solution, names: NDArray[Any]) -> Misfit:
+def misfit(problem: Problem, kept: Indices, solution: Solution, names: Names) -> Misfit:
     """Return what is to be said of chi2 of a solution with the best weights.
 
     ``kept`` are the sources that it is of, ``names`` (S,) the names of all.  The solution may be that
@@ -196,7 +195,7 @@ def _wholes(problem: Problem) -> list[_Part]:
     return parts + [part for part in of_tables if np.any(part.at)]
 
 
-def _alike(problem: Problem, labels: NDArray[np.str_], words: str) -> list[_Part]:
+def _alike(problem: Problem, labels: Texts, words: str) -> list[_Part]:
     """Return the rows of each table that have the same label (R,)."""
     return [
         _Part(part.table, words.format(label, part.words), part.at & (labels == label))

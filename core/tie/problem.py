@@ -343,7 +343,8 @@ class Problem:
 
     def objects(self, star: Astrometry) -> tuple[Objects, Array]:
         """Return the data for derivatives, and the epoch of each source minus that of the unknowns."""
-        objects = Objects(*star.values[:2], *np.nan_to_num(star.values[3:]), star.columns)
+        (ra, dec), (pmra, pmdec) = star.values[:2], np.nan_to_num(star.values[3:])
+        objects = Objects(ra, dec, pmra, pmdec, star.columns)
         return objects, np.where(np.isfinite(star.epoch), star.epoch - self.epoch, 0.0)
 
     def taken_out(self, star: Astrometry) -> Array | None:
@@ -793,8 +794,8 @@ def sources_of(problem: Problem) -> Sources:
 
 
 def _cell_sums(problem: Problem, factors: Array | Flags | None) -> NormalSums:
-    cells = sky_cells(*problem.satellite.values[:2], DIVISIONS)
-    return group_sums(problem, cells, 2 * DIVISIONS**2, factors)
+    ra, dec = problem.satellite.values[:2]
+    return group_sums(problem, sky_cells(ra, dec, DIVISIONS), 2 * DIVISIONS**2, factors)
 
 
 def _heaviest(problem: Problem, number: int) -> tuple[Array, Indices, NormalSums]:

@@ -10,12 +10,11 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from linksweep.core.frames import DEGREE, Array, Flags, Indices, LinkError
+from linksweep.core.frames import DEGREE, Array, Flags, Indices, LinkError, Names, Texts
 from linksweep.core.tie import astrometry
-from linksweep.core.tie.astrometry import FURTHER, Astrometry, Differences, differences
+from linksweep.core.tie.astrometry import FURTHER, Astrometry, Differences, bends, by_errors, differences
 from linksweep.core.tie.mistakes import EXCESS, LARGER, SMALLER, Cause, Misfit, best_shift, explains, likely
 from linksweep.core.tie.problem import inverted
 from linksweep.core.unknowns import PARAMETERS
@@ -70,12 +69,12 @@ class Transits:
 
     star: Indices
     observed: Mapping[str, Array]
-    models: NDArray[np.str_]
+    models: Texts
     orbit: Array
     noise: Array
     origin: Array
     epoch: float
-    names: NDArray[Any]
+    names: Names
     catalogue: Astrometry
 
     def weights(self) -> Array:
@@ -86,7 +85,7 @@ class Transits:
         """Return the derivatives of w by the parameters `PATH`; shape (N, 11)."""
         years, angle = self.observed["relative_time_year"], self.observed["scan_pos_angle"]
         along = np.array([np.sin(angle), np.cos(angle)])
-        bend = np.einsum("in,nik->kn", along, astrometry.bends(years, self.orbit[:, self.star])[:, :2])
+        bend = np.einsum("in,nik->kn", along, bends(years, self.orbit[:, self.star])[:, :2])
         factors = [self.observed[name] for name in ("parallax_factor_al", "colour_factor_al")]
         return np.array([*along, factors[0], *(along * years), *bend, factors[1]]).T
 
@@ -113,7 +112,7 @@ class Transits:
 
     def in_place(self, paths: Paths, table: Astrometry, rows: Indices) -> Astrometry:
         """Return a catalogue in which paths take the place of some rows (S,)."""
-        error, between = astrometry.by_errors(paths.covariance[:, :COLOUR, :COLOUR])
+        error, between = by_errors(paths.covariance[:, :COLOUR, :COLOUR])
         position = astrometry.from_tangent_plane(*paths.values[:, :2].T, *self.origin)
         arrays: dict[str, Any] = {
             "values": np.concatenate([position, paths.values[:, 2:5].T]),

@@ -176,10 +176,8 @@ def _votable(content: bytes) -> Any:
 
 
 def _ecsv(content: bytes) -> Any:
-    from astropy.table import Table
-
-    with suppress(Exception):  # without pyarrow, or with what the other reader explains; that takes ten times as long
-        return Table.read(io.BytesIO(content), format="ecsv", engine="pyarrow", null_values=["", "null"])
+    with suppress(SweepError):  # without pyarrow, or with what the other reader explains; that takes ten times as long
+        return _by_astropy("ecsv", io.BytesIO(content), engine="pyarrow", null_values=["", "null"])
     gaps = [("", "0"), ("null", "0")]
     return _by_astropy("ascii.ecsv", content.decode("utf-8", "replace"), fill_values=gaps)
 
@@ -424,8 +422,6 @@ def _cds(path: Path, text: str, readme: Path) -> Any:
 
 def _add_degrees(table: Any) -> None:
     """Add RAdeg and DEdeg to a table that has hours, minutes and seconds in columns of their own."""
-    from astropy.table import MaskedColumn
-
     for name, (sign, *parts, factor) in _IN_PARTS.items():
         if name in table.colnames or not {*parts, sign or parts[0]} <= set(table.colnames):
             continue
@@ -437,7 +433,8 @@ def _add_degrees(table: Any) -> None:
         if sign:
             negative = [str(text).strip() == "-" for text in np.ma.filled(np.ma.asarray(table[sign]), "+")]
             values = values * np.where(negative, -1.0, 1.0)
-        table[name] = MaskedColumn(np.ma.getdata(values), mask=np.ma.getmaskarray(values), unit="deg")
+        table[name] = np.ma.masked_array(values, mask=np.ma.getmaskarray(values))
+        table[name].unit = "deg"
         error = f"e_{parts[-1]}"
         if error in table.colnames and f"e_{name}" not in table.colnames:
             table[f"e_{name}"] = table[error]
@@ -482,7 +479,6 @@ def _parquet(source: Any) -> Iterator[Any]:
 def _from_arrow(arrow: Any, columns: Sequence[str] | None = None) -> Any:
     import pandas as pd
     import pyarrow.parquet
-    from astropy.table import Table
 
     # astropy writes a mask as a column of its own, and a time as two
     if b"table_meta_yaml" in (arrow.schema.metadata or {}):
@@ -490,7 +486,7 @@ def _from_arrow(arrow: Any, columns: Sequence[str] | None = None) -> Any:
         if nulls := [one.name for one in some if arrow[one.name].null_count]:
             raise SweepError(f"has nulls in {', '.join(nulls)}, where astropy has masks: write it with astropy")
         pyarrow.parquet.write_table(arrow, source := io.BytesIO())
-        return Table.read(source, format="parquet", include_names=columns)
+        return _by_astropy("parquet", source, include_names=columns)
     decimals = [pyarrow.float64() if pyarrow.types.is_decimal(field.type) else field.type for field in arrow.schema]
     plain = [kind.value_type if pyarrow.types.is_dictionary(kind) else kind for kind in decimals]
     arrow = arrow.cast(pyarrow.schema([field.with_type(kind) for field, kind in zip(arrow.schema, plain, strict=True)]))

@@ -20,7 +20,6 @@ from linksweep.sweep.tables.options import declared, parameter
 from linksweep.sweep.tie import setup
 from linksweep.sweep.tie.link import FIELDS, Link, released, solve_link, spectrum
 from linksweep.sweep.tie.options import POSITIONS, STUDY, TABLE, ForecastOptions, Options, listed
-from linksweep.sweep.tie.setup import DECLARED, Setup
 
 # ---- what a study sets, and its results: degree 1 by component, harmonics by degree, spins by bin
 
@@ -51,7 +50,7 @@ PARAMETERS = (
     Parameter("magnitude", "str", "phot_g_mean_mag", "the satellite's column of magnitudes"),
     *(parameter(one) for one in declared(STUDY, ForecastOptions)),
     Parameter("n_new", "int", 0, "sources with one new position, those that help most", minimum=0),
-    replace(DECLARED["epoch"], name="new_epoch", meaning="of new positions; default that of the source"),
+    replace(setup.DECLARED["epoch"], name="new_epoch", meaning="of new positions; default that of the source"),
     Parameter("new_error", "float", 0.1, "of each coordinate of a new position", "mas", above=0.0),
     choice("new_positions", POSITIONS, POSITIONS[0], "of new rows: displaced by the parallax, or mean ones"),
     choice("candidates", ("matched", "all"), "matched", "for new positions: sources with rows, or all the satellite's"),
@@ -229,7 +228,7 @@ def _design(values: tuple[tuple[str, Any], ...]) -> Design:
 
 
 @lru_cache(maxsize=4)
-def _set_up(values: tuple[tuple[str, Any], ...]) -> Setup:
+def _set_up(values: tuple[tuple[str, Any], ...]) -> setup.Setup:
     """Return the tables as they are; points that differ in nothing of `DECIDING` share them."""
     point = dict(values)
     reference, zero_motion = point["reference"], point["zero_motion"]
@@ -257,7 +256,7 @@ def _plain(value: Any) -> Any:
     return value.path if isinstance(value, TableFile) else value
 
 
-def _within(whole: Setup, point: Mapping[str, Any]) -> Setup:
+def _within(whole: setup.Setup, point: Mapping[str, Any]) -> setup.Setup:
     """Leave out the sources outside the limits of magnitude; if there is a limit, also those without a magnitude."""
     low, high, column = point["g_min"], point["g_max"], point["magnitude"]
     if low is None and high is None:

@@ -20,8 +20,7 @@ from linksweep.core.tie import forecast as planning, mistakes, problem as solvin
 from linksweep.core.tie.astrometry import ALL_PAIRS, Astrometry, kinds, named_rows
 from linksweep.core.tie.noise import ESTIMATE, Noise, estimated, noises
 from linksweep.core.unknowns import PARAMETERS, Harmonics, Objects, SpinByBin, Unknowns, amplitudes, link_unknowns
-from linksweep.sweep.contract import SweepError
-from linksweep.sweep.contract.rows import p_value
+from linksweep.sweep.contract import SweepError, p_value
 from linksweep.sweep.executing.executor import mapped
 from linksweep.sweep.executing.pools import NO_LIMITS, Limits, Resources
 from linksweep.sweep.result import require_free, stored_table, write_at_once

@@ -6,8 +6,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from linksweep.sweep.contract import SweepError
-from linksweep.sweep.contract.rows import p_value
+from linksweep.sweep.contract import SweepError, p_value
 from linksweep.sweep.formatting import in_three_digits, prefixed, rounded, with_unit
 from linksweep.sweep.table_writer import Column, Table
 

@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from linksweep.core.frames import ARCSEC, DEGREE, GALACTIC_AXES, MAS, Array, Indices, LinkError, position, triad
+from linksweep.core.frames import ARCSEC, DEGREE, GALACTIC_AXES, MAS, Array, Indices, LinkError, Names, position, triad
 from linksweep.core.tie import astrometry as core
 from linksweep.core.tie.astrometry import Astrometry, kinds, named_rows
 from linksweep.core.tie.forecast import releases_at
@@ -142,7 +141,7 @@ class Setup:
     tables: Mapping[str, AstrometricTable]
     matched: "Match"
     problem: Problem
-    names: NDArray[Any]
+    names: Names
     notes: tuple[str, ...] = ()
     epochs: files.Epochs | None = None
     jitter: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
@@ -222,7 +221,7 @@ def _taken(table: Astrometry, rows: Indices) -> Astrometry:
     return table if np.array_equal(rows, np.arange(len(table))) else table.taken(rows)
 
 
-def _names(left: AstrometricTable, reference: AstrometricTable, matched: "Match") -> NDArray[np.str_]:
+def _names(left: AstrometricTable, reference: AstrometricTable, matched: "Match") -> Names:
     """Return the names of all sources: the satellite's first column of names, else the reference's, else numbers; those
     of the reference first if the tables have identifiers of two releases.
     """

@@ -18,10 +18,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 from astropy.units import Unit
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from linksweep.core.frames import ARCSEC, DEGREE, MAS, Array, Flags, Indices, LinkError
+from linksweep.core.frames import ARCSEC, DEGREE, MAS, Array, Flags, Indices, LinkError, Texts
 from linksweep.core.tie import astrometry as core, mistakes
 from linksweep.core.tie.forecast import RELEASES, releases_at
 from linksweep.core.tie.problem import Problem, Solution
@@ -131,7 +130,7 @@ class AstrometricTable:
     path: str
     digest: str
     astrometry: core.Astrometry
-    names: Mapping[str, NDArray[np.str_]]
+    names: Mapping[str, Texts]
     notes: Sequence[str] = ()
     columns: str = ""
     releases: Mapping[str, str] = field(default_factory=dict)
@@ -282,7 +281,7 @@ def astrometric_table(table: Any, where: str, digest: str, options: TableOptions
     return AstrometricTable(where, digest, astrometry, names, read.notes, _used(read), releases, options)
 
 
-def _releases(read: Columns, names: Mapping[str, NDArray[np.str_]], epochs: Array) -> dict[str, str]:
+def _releases(read: Columns, names: Mapping[str, Texts], epochs: Array) -> dict[str, str]:
     """Return the release of Gaia by column of its designations, and that of source_id, which is theirs or that of the
     ``epochs`` of five-parameter rows; rows of two are a problem.
     """
@@ -556,7 +555,7 @@ def _radial_velocity(read: Columns) -> Array | None:
     return np.where(fast, np.nan, velocity)
 
 
-def _names(read: Columns) -> dict[str, NDArray[np.str_]]:
+def _names(read: Columns) -> dict[str, Texts]:
     """Return the columns of names, best first, and after them all other text."""
     wanted = [read.columns["name"]] if "name" in read.columns else SOURCE_NAMES
     place = {name: len(wanted) for name in read.names if read.kind(name) in "US" and name != read.name("calibrator")}
