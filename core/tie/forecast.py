@@ -2,7 +2,7 @@
 drawn again and again with their errors.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from linksweep.core.frames import Array, Indices, LinkError
-from linksweep.core.tie.astrometry import Astrometry, Differences, joined
+from linksweep.core.tie.astrometry import Differences
 from linksweep.core.tie.problem import KeptSources, NormalSums, Problem, add_separations, covariance_of, eliminate
 from linksweep.core.unknowns import Unknowns
 
@@ -92,22 +92,6 @@ def released(
         notes.append("motions of dr1 rest on Hipparcos and Tycho-2 positions, so their errors do not scale as T^-3/2")
     epoch = problem.epoch + shift if epoch_moves else problem.epoch
     return replace(problem, satellite=satellite, epoch=epoch), old, notes
-
-
-def with_new_rows(problem: Problem, epochs: Sequence[float], error: float, apparent: bool = True) -> Problem:
-    """Return the problem with a position added to each source at each of ``epochs`` (NaN for the source's own).
-
-    ``error`` (rad) is that of each coordinate; the position is of a single epoch (``apparent``) or a mean one.  The
-    new rows have the satellite's position, so they serve forecasts, which do not depend on measured values.
-    """
-    n, times = len(problem.satellite), len(epochs)
-    values, errors = np.full((2, 5, n * times), np.nan)
-    values[:2] = np.tile(problem.satellite.values[:2], times)
-    errors[:2] = error
-    at = np.repeat(np.asarray(epochs, dtype=np.float64), n)
-    new = Astrometry(values, errors, at, apparent=np.full(n * times, apparent))
-    source = np.concatenate([problem.source, np.tile(np.arange(n), times)])
-    return replace(problem, rows=joined(problem.rows, new), source=source)
 
 
 @dataclass(frozen=True)

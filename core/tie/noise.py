@@ -51,10 +51,10 @@ class Noise(NamedTuple):
     lacking: Array
     factor: Array
 
-    def added_to(self, problem: Problem, wanted: Mapping[str, Flags]) -> Problem:
-        """Return a problem with the noise in its errors; ``wanted`` are the noises of its own rows."""
+    def added_to(self, problem: Problem, jitter: Mapping[str, Mapping[str, Any]]) -> Problem:
+        """Return a problem with the noise in its errors, which may have further rows and other stated errors."""
         rows, star = np.zeros((5, len(problem.rows))), np.zeros((5, len(problem.satellite)))
-        for label, at in wanted.items():
+        for label, at in noises(problem, jitter, fewest=0).items():
             (star if label.startswith(SATELLITE) else rows)[at.T] += (self.size.get(label, 0.0) * MAS) ** 2
         noisy = with_variance(problem.satellite, star), with_variance(problem.rows, rows)
         return replace(problem, satellite=noisy[0], rows=noisy[1])
@@ -85,11 +85,11 @@ class _Terms(NamedTuple):
     residuals: Array
 
 
-def noises(problem: Problem, jitter: Mapping[str, Mapping[str, Any]]) -> dict[str, Flags]:
+def noises(problem: Problem, jitter: Mapping[str, Mapping[str, Any]], fewest: int = FEWEST) -> dict[str, Flags]:
     """Return the noises that ``jitter`` asks to estimate: those of kinds of rows, and if of all, of the satellite.
 
     They are labelled like "five-parameter:motion", and have the parameters (N, 5) of rows, or of sources, that have
-    them.  Raises LinkError where a kind has too few rows.
+    them.  Raises LinkError where a kind has fewer rows than ``fewest``.
     """
     kind_of_row, everywhere = kinds(problem.rows), jitter.get(problem.tables[0], {}).get(ALL) == ESTIMATE
     chosen = []
@@ -103,11 +103,11 @@ def noises(problem: Problem, jitter: Mapping[str, Mapping[str, Any]]) -> dict[st
         with_rows = np.isin(np.arange(len(problem.satellite)), problem.source)
         chosen.append((SATELLITE, with_rows, problem.satellite.present.T))
     for kind, at, _ in chosen:
-        if (number := np.count_nonzero(at)) < FEWEST:
+        if (number := np.count_nonzero(at)) < fewest:
             rows, advice = f"rows of the kind {kind}", f"say how large it is, as in --jitter '{kind}=0.1'"
             if kind == SATELLITE:
                 rows, advice = "sources", "leave out estimate, which is of the satellite too"
-            raise LinkError(f"jitter estimate: it needs {FEWEST} {rows}, and there are {number}; {advice}")
+            raise LinkError(f"jitter estimate: it needs {fewest} {rows}, and there are {number}; {advice}")
     wanted: dict[str, Flags] = {}
     for name, at, present in chosen:
         for quantity, which in QUANTITIES.items():

@@ -11,7 +11,7 @@ import numpy as np
 from linksweep.core.frames import MAS, Array
 from linksweep.core.parameters import choice, with_beside
 from linksweep.core.tie import forecast
-from linksweep.core.tie.noise import noises
+from linksweep.core.tie.noise import Noise
 from linksweep.core.tie.problem import Clip, KeptSources, Problem, Solution, clipped, parse_clip, solve, source_sums
 from linksweep.core.unknowns import SpinByBin, Unknowns, parse_unknowns
 from linksweep.sweep.contract import Experiment, Output, Parameter, Point, SweepError
@@ -216,12 +216,9 @@ def _design(values: tuple[tuple[str, Any], ...]) -> Design:
     matched = np.unique(problem.source)
     solved = solve_link(whole.only(matched), str(clip), ("scaled", "formal", "jackknife")) if len(matched) else None
     notes = [] if solved is None else [*solved.notes]
-    if solved is not None and solved.noise is not None:
-        problem = solved.noise.added_to(problem, noises(problem, whole.jitter))
     problem, _, further = released(problem, point["release"], point["from_release"], point["epoch"] is None)
     notes += further
-    if point["n_new"]:
-        problem = _with_chosen(problem, point)
+    problem = _with_chosen(whole, problem, None if solved is None else solved.noise, point)
     if not len(problem.rows):
         raise SweepError("no rows: give a reference, or zero_motion = true, or n_new above 0")
     return Design(clip, solved, len(matched), problem.only(np.unique(problem.source)), tuple(notes))
@@ -272,21 +269,25 @@ def _within(whole: setup.Setup, point: Mapping[str, Any]) -> setup.Setup:
     return whole.only(np.flatnonzero(kept))
 
 
-def _with_chosen(problem: Problem, point: Mapping[str, Any]) -> Problem:
-    """Return the problem with a new position of the ``n_new`` sources that help most, chosen one after the other."""
-    n_sources, number = len(problem.satellite), point["n_new"]
+def _with_chosen(whole: Setup, problem: Problem, noise: Noise | None, point: Mapping[str, Any]) -> Problem:
+    """Return the problem with a new position of the ``n_new`` sources that help most, chosen one after the other, and
+    with noise in the errors of all rows and sources.
+    """
+    n_sources, number, old = len(problem.satellite), point["n_new"], len(problem.rows)
     if number > n_sources:
         raise SweepError(f"n_new = {number}: there are {n_sources} sources to observe")
-    epoch = np.nan if point["new_epoch"] is None else point["new_epoch"]
-    apparent = point["new_positions"] == "single-epoch"
-    planned = forecast.with_new_rows(problem, [epoch], point["new_error"] * MAS, apparent)
-    if number == n_sources:
-        return planned
+    if number:
+        epoch = np.nan if point["new_epoch"] is None else point["new_epoch"]
+        problem = whole.with_new_rows(problem, [epoch], point["new_error"], point["new_positions"] == "single-epoch")
+    if noise is not None:
+        problem = noise.added_to(problem, whole.jitter)
+    if number in (0, n_sources):
+        return problem
+    now = replace(problem, rows=problem.rows.taken(slice(old)), source=problem.source[:old])
     goal = forecast.Goal(problem.unknowns, tuple(listed(point["goal"])), "A")
-    chosen, _ = forecast.choose(source_sums(problem), source_sums(planned), number, goal)
-    old = len(problem.rows)
+    chosen, _ = forecast.choose(source_sums(now), source_sums(problem), number, goal)
     rows = np.concatenate([np.arange(old), old + np.sort(np.array(chosen, dtype=np.int64))])
-    return replace(planned, rows=planned.rows.taken(rows), source=planned.source[rows])
+    return replace(problem, rows=problem.rows.taken(rows), source=problem.source[rows])
 
 
 # ---- sums over draws, and results
@@ -440,10 +441,12 @@ def warn(point: Point) -> list[str]:
 def unused(point: Point) -> dict[str, str]:
     """Return the parameters that change nothing at a point, each with a clause that says why."""
     reference, limits = point["reference"] is not None, point["g_min"] is not None or point["g_max"] is not None
+    at_rest = point["zero_motion"] or "reference" in listed(point["extragalactic"])
     needs = (
         (reference, "there is no reference", "reference_.*|positions|by|aberration"),
-        (reference or point["zero_motion"], "there are no rows of a reference", "known_.*|jitter|truth|accept_misfit"),
+        (reference or point["zero_motion"], "there are no rows of a reference", "known_.*|truth|accept_misfit"),
         (point["release"] != TABLE, "it is for a release", "from_release"),
+        (not at_rest, "positions of quasars hold at any epoch", "new_epoch|new_positions"),
         (point["n_new"] > 0, "it is for n_new above 0", "new_.*|goal|candidates"),
         (limits, "it is for g_min or g_max", "magnitude"),
         (point["outliers"] > 0.0, "it is for outliers above 0", "outlier_factor"),

@@ -149,7 +149,7 @@ def _with_noise(setup: Setup, how: solving.Clip) -> tuple[Setup, solving.Sources
     for _ in range(ROUNDS):
         part = problem.only(np.flatnonzero(kept))
         noise = estimated(part, noises(part, setup.jitter))
-        noisy = noise.added_to(problem, noises(problem, setup.jitter))
+        noisy = noise.added_to(problem, setup.jitter)
         sources = solving.sources_of(noisy)
         result = solving.clipped(how, sources)
         if np.array_equal(kept, result.factors > 0.0):
@@ -585,7 +585,7 @@ def forecast(satellite: str | Path, reference: str | Path, unknowns: str | None 
 
         def observed(*epochs: float) -> solving.NormalSums:
             """Return the sums of each source with new positions at some epochs."""
-            return solving.source_sums(planning.with_new_rows(future, epochs, plan.error * MAS))
+            return solving.source_sums(setup.with_new_rows(future, epochs, plan.error, asked.positions != "mean"))
 
         base = solving.source_sums(future)
         planned = observed(*add) if add else base

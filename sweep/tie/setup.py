@@ -160,6 +160,26 @@ class Setup:
         """Return the setup of some of the matched sources and their rows."""
         return replace(self, problem=self.problem.only(sources), names=self.names[sources])
 
+    def with_new_rows(self, problem: Problem, epochs: Sequence[float], error: float, apparent: bool) -> Problem:
+        """Return a problem of the sources with a position added to each at each of ``epochs`` (NaN for the source's).
+
+        ``error`` (mas) is that of each coordinate; the position is of a single epoch (``apparent``) or a mean one, as
+        those of quasars always are, which hold at any epoch.  As a row of the reference it has the jitter of its kind.
+        It is that of the satellite, and so for forecasts, which do not depend on measured values.
+        """
+        reference, rows = self.tables[SIDES[1]], self.problem.rows
+        at_rest = np.isnan(rows.epoch) & (rows.present[0] | (reference.path == ZERO_MOTION))
+        if reference.options.extragalactic or np.any(at_rest):
+            epochs, apparent = [np.nan] * len(epochs), False
+        jitter = self.jitter.get(SIDES[1], {})
+        size = jitter.get("single epoch" if apparent else "position", jitter.get(ALL, ESTIMATE))
+        sigma = MAS * (error if size == ESTIMATE else np.hypot(error, size[0]))
+        n, source = len(problem.satellite), np.tile(np.arange(len(problem.satellite)), len(epochs))
+        values = np.where(np.arange(5)[:, None] < 2, problem.satellite.values[:, source], np.nan)
+        errors = np.where(np.isfinite(values), sigma, np.nan)
+        new = Astrometry(values, errors, np.repeat(epochs, n), apparent=np.full(len(source), apparent))
+        return replace(problem, rows=core.joined(problem.rows, new), source=np.concatenate([problem.source, source]))
+
 
 def set_up(satellite: str | Path, reference: str | Path, options: Options, all_sources: bool = False) -> Setup:
     """Read, match and combine tables; raises SweepError for whatever is wrong with them or the options.
@@ -183,8 +203,8 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
     for frame, (name, path) in enumerate({SIDES[1]: str(files.path_of(reference)), **missions}.items()):
         if not frame and path == ZERO_MOTION:
             moving = moving_sources(left.astrometry)
-            rows = zero_motion(len(moving))
-            table, matched = AstrometricTable(ZERO_MOTION, "", rows, {}), Match(moving, EVERY_SOURCE, moving * 0 - 1)
+            table = AstrometricTable(ZERO_MOTION, "", zero_motion(len(moving)), {}, options=how[name])
+            matched, rows = Match(moving, EVERY_SOURCE, moving * 0 - 1), table.astrometry
             notes += without_motion(0 if all_sources else n - len(moving), n)
         else:
             table = read_table(Path(path), how[name])

@@ -10,7 +10,7 @@ from hypothesis import given, settings, strategies as st
 
 import linksweep
 from linksweep import SweepError, forecast, tie
-from tests.core.tie.made import MAS, POSITION, gaia, joined, noise, only, stars
+from tests.core.tie.made import MAS, POSITION, gaia, gaia_table, joined, noise, only, stars
 from tests.tiers import examples, slow
 
 EPOCH = {"dr1": 2015.0, "dr2": 2015.5, "dr3": 2016.0, "dr4": 2017.5, "dr5": 2020.0}
@@ -39,7 +39,7 @@ def tables(request, tmp_path):
     rows = replace(rows, values=seen(own, rows))
     paths = gaia(tmp_path / "dr3.fits", own), gaia(tmp_path / "rows.fits", rows)
     later = gaia(tmp_path / "dr4.fits", scaled(own, "dr3", "dr4"))
-    return SimpleNamespace(folder=tmp_path, own=own, rows=rows, known={}, paths=paths, scaled=later)
+    return SimpleNamespace(folder=tmp_path, own=own, rows=rows, known={}, paths=paths, scaled=later, options={})
 
 
 def covariance(tables, satellite, sources=(), epochs=EPOCHS):
@@ -54,7 +54,7 @@ def covariance(tables, satellite, sources=(), epochs=EPOCHS):
     joint = joined(tables.rows, replace(new, values=seen(new, new)))
     joint = replace(joint, radial_velocity=np.zeros(len(joint)))
     path = gaia(tables.folder / "extended.fits", joint, source_id=which + 10**17)
-    how = {"epoch": 2016.0, "accept_misfit": True, "weights": vars(tables).get("weights", "covariance")}
+    how = {"epoch": 2016.0, "accept_misfit": True, **tables.options}
     link = tie(satellite, path, "orientation,spin", errors="formal", **how)
     tables.known[key] = link.covariance.values
     return tables.known[key]
@@ -69,10 +69,11 @@ def value(matrix, blocks, criterion):
 @pytest.mark.parametrize("criterion", ["A", slow("D")])
 @pytest.mark.parametrize("blocks", [("spin",), slow(("orientation", "spin"))])
 @pytest.mark.parametrize("weights", ["covariance", "variance", slow("equal")])
-def test_every_stage_and_choice_is_the_link_with_the_new_rows(tables, criterion, blocks, weights):
-    tables.weights = weights
+@pytest.mark.parametrize("jitter", ["five-parameter=0.1:0.02,all=0.3", slow("")])
+def test_every_stage_and_choice_is_the_link_with_the_new_rows(tables, criterion, blocks, weights, jitter):
+    tables.options = {"weights": weights, "jitter": jitter}
     options = {"add": EPOCHS, "error": ERROR, "release": "dr4", "number": 2, "goal": blocks, "criterion": criterion}
-    plan = forecast(*tables.paths, "orientation,spin", epoch=2016.0, weights=weights, **options)
+    plan = forecast(*tables.paths, "orientation,spin", epoch=2016.0, **tables.options, **options)
     every, scaled = range(4), tables.scaled
     close = {"rtol": 1e-5, "atol": 1e-5 if criterion == "D" else 0.0}
     stages = {"now": covariance(tables, tables.paths[0]), "dr4": covariance(tables, scaled)}
@@ -164,13 +165,58 @@ def test_errors_are_not_scaled_twice_and_a_table_at_another_epoch_needs_the_name
         planned(folder, "dr3", "dr4", from_release="dr9")
 
 
-def test_a_study_scales_from_the_same_release(folder):
-    tables = {name: str(folder / f"{one}.fits") for name, one in (("satellite", "dr4"), ("reference", "reference"))}
-    fixed = tables | {"accept_misfit": True, "release": "dr5"}
+def in_a_study(folder, satellite, reference, **fixed):
     study = {"experiment": "linksweep.sweep.tie.experiment:tie", "sampling": {"n_sim": 2}}
-    predicted = linksweep.run(study | {"fixed": fixed}, folder / "s.zarr", pool="serial").sigma_predicted
-    expected = errors_by_hand(folder, "dr4", "dr4", "dr5")
-    np.testing.assert_allclose(predicted.values[..., :6].ravel(), expected, rtol=1e-9)
+    fixed |= {"satellite": str(satellite), "reference": str(reference), "accept_misfit": True}
+    found = linksweep.run(study | {"fixed": fixed}, folder / "s.zarr", pool="serial", fresh=True)
+    return found.sigma_predicted.values.ravel()[:6]
+
+
+def test_a_study_scales_from_the_same_release(folder):
+    tables = folder / "dr4.fits", folder / "reference.fits"
+    predicted = in_a_study(folder, *tables, release="dr5")
+    np.testing.assert_allclose(predicted, errors_by_hand(folder, "dr4", "dr4", "dr5"), rtol=1e-9)
     for changes, words in (({"from_release": "dr3"}, "are those of dr4"), ({"release": "dr3"}, "a later one")):
         with pytest.raises(SweepError, match=words):
-            linksweep.run(study | {"fixed": fixed | changes}, folder / "t.zarr", pool="serial")
+            in_a_study(folder, *tables, **{"release": "dr5"} | changes)
+
+
+@pytest.mark.parametrize("jitter", ["", "all=0.2"])
+def test_new_positions_of_quasars_are_mean_ones_that_hold_at_any_epoch(tmp_path, jitter):
+    own = replace(stars(12, 5), correlations=np.zeros((10, 12)), radial_velocity=np.zeros(12))
+    rows, new = only(own, POSITION), only(own, POSITION, errors=np.full((5, 12), ERROR * MAS))
+    satellite = gaia(tmp_path / "own.ecsv", own, source_id=np.arange(12))
+    for name, made in (("now", rows), ("later", replace(joined(rows, new), radial_velocity=np.zeros(24)))):
+        table = gaia_table(made, source_id=np.arange(len(made)) % 12)
+        table.remove_column("ref_epoch")
+        table.write(tmp_path / f"{name}.ecsv")
+    how = {"unknowns": "orientation", "extragalactic": "reference", "jitter": jitter}
+    expected = tie(satellite, tmp_path / "later.ecsv", errors="formal", **how).error
+    tables = satellite, tmp_path / "now.ecsv"
+    np.testing.assert_allclose(forecast(*tables, add=[2030], error=ERROR, **how).error[1], expected)
+    np.testing.assert_allclose(in_a_study(tmp_path, *tables, n_new=12, new_error=ERROR, **how)[:3], expected)
+    np.testing.assert_allclose(*forecast(satellite, "zero-motion", "spin", add=[2030]).error)  # correlations are 0
+
+
+def test_estimated_noise_is_in_new_rows_and_is_not_scaled_to_a_release(tmp_path):
+    own, rng = replace(resting(2016.0), correlations=np.zeros((10, 12))), np.random.default_rng(4)
+    rows = only(joined(*(replace(own, epoch=own.epoch - years) for years in (3.0, 8.0, 14.0))), POSITION)
+    rows = replace(rows, values=rows.values + 5.0 * noise(rng, rows), radial_velocity=np.zeros(36))
+    own = replace(own, values=own.values + 5.0 * noise(rng, own))
+    source = 10**17 + np.arange(48) % 12
+    tables = gaia(tmp_path / "own.fits", own), gaia(tmp_path / "rows.fits", rows, source_id=source[:36])
+    link = tie(*tables, "orientation,spin", jitter="estimate", accept_misfit=True)
+    size = dict(zip(link.noise.values.tolist(), link.noise_size.values * MAS, strict=True))
+
+    def noisy(table, of):
+        sizes = [size.get(f"{of}:{name}", 0.0) for name in ("position", "position", "parallax", "motion", "motion")]
+        return replace(table, errors=np.hypot(table.errors, np.array(sizes)[:, None]))
+
+    new = only(own, POSITION, errors=np.full((5, 12), ERROR * MAS), epoch=np.full(12, 2031.0))
+    rows = noisy(replace(joined(rows, new), radial_velocity=np.zeros(48)), "single epoch")
+    later = gaia(tmp_path / "later.fits", noisy(scaled(own, "dr3", "dr5"), "satellite"))
+    rows = gaia(tmp_path / "all.fits", rows, source_id=source)
+    expected = tie(later, rows, "orientation,spin", errors="formal", accept_misfit=True).error
+    new = {"n_new": 12, "new_epoch": 2031.0, "new_error": ERROR}
+    found = in_a_study(tmp_path, *tables, release="dr5", jitter="estimate", **new)
+    np.testing.assert_allclose(found, expected, rtol=1e-5)

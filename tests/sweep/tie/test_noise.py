@@ -143,9 +143,9 @@ def test_the_truth_is_within_the_error_as_often_as_it_should_be(seeds, case):
     """The stars have errors three times those of the tables; formal errors without noise contain it 0.25 of times."""
     inside, plain = [], []
     for problem in (drawn(seed, *case) for seed in range(seeds)):
-        wanted = noises(problem, {"reference": {"all": "estimate"}})
-        found, without = estimated(problem, wanted), solve(source_sums(problem))
-        solved = solve(source_sums(found.added_to(problem, wanted)))
+        jitter = {"reference": {"all": "estimate"}}
+        found, without = estimated(problem, noises(problem, jitter)), solve(source_sums(problem))
+        solved = solve(source_sums(found.added_to(problem, jitter)))
         inside.append(np.abs(solved.estimate) < np.sqrt(np.diag(found.covariance(solved))))
         plain.append(np.abs(without.estimate) < np.sqrt(np.diag(without.covariance)))
     assert abs(np.mean(inside) - 0.683) < (0.02 if seeds > 100 else 0.15)
