@@ -269,7 +269,7 @@ def _within(whole: setup.Setup, point: Mapping[str, Any]) -> setup.Setup:
     return whole.only(np.flatnonzero(kept))
 
 
-def _with_chosen(whole: Setup, problem: Problem, noise: Noise | None, point: Mapping[str, Any]) -> Problem:
+def _with_chosen(whole: setup.Setup, problem: Problem, noise: Noise | None, point: Mapping[str, Any]) -> Problem:
     """Return the problem with a new position of the ``n_new`` sources that help most, chosen one after the other, and
     with noise in the errors of all rows and sources.
     """
