@@ -11,7 +11,7 @@ from typing import Any, Literal
 import numpy as np
 
 from linksweep.core.frames import Array
-from linksweep.sweep.contract import DefinitionError, Function, Named, SweepError, shown, suggest
+from linksweep.sweep.contract import DefinitionError, Function, Named, SweepError, rescaled, shown, suggest
 
 Curve = Callable[[Array], Array]
 """A function that returns the standard error at each magnitude, in the same shape."""
@@ -271,8 +271,7 @@ MISSIONS: Mapping[str, Mission] = {
 
 UserCurve = Exponentials | LogLinear | FunctionCurve
 
-UNITS = {"mas": 1.0, "uas": 1000.0}
-"""Units per mas."""
+UNITS_MAS = {"mas": 1.0, "uas": 1e-3}
 
 SIGMA_MAS = 1e-9, 1e7
 MAGNITUDES = -5.0, 30.0
@@ -319,8 +318,8 @@ def mission_from_table(table: Mapping[str, Any], load: Callable[[str], Function]
     limit = read.number("faint_limit", MAGNITUDES, end)
     if limit > end:
         read.problem("faint_limit", f"{limit:g} mag: the table ends at {end:g} mag")
-    floor_pos, floor_pm = (read.number(key, read.sigmas, 0.0) / read.per_mas for key in ("floor_pos", "floor_pm"))
-    floor = Floor(floor_pos, floor_pm)
+    pos, pm = (rescaled(read.number(key, read.sigmas, 0.0), read.unit_mas) for key in ("floor_pos", "floor_pm"))
+    floor = Floor(pos, pm)
     valid = read.range((brightest, limit))
     if read.problems or motions is None or positions is None:
         raise DefinitionError(read.problems)
@@ -340,13 +339,13 @@ class _Reader:
         self.table, self.load = table, load
         self.problems = [(key, f"unknown key{suggest(key, KEYS)}") for key in table if key not in KEYS]
         unit = table.get("unit", "mas")
-        if not (isinstance(unit, str) and unit in UNITS):
+        if not (isinstance(unit, str) and unit in UNITS_MAS):
             self.problem("unit", f"{shown(unit)}: must be 'mas' or 'uas' (a year for proper motions)")
             unit = "mas"
         if not isinstance(source := table.get("source", ""), str):
             self.problem("source", f"{shown(source)}: must be a text that says where the numbers come from")
-        self.per_mas = UNITS[unit]
-        self.sigmas = SIGMA_MAS[0] * self.per_mas, SIGMA_MAS[1] * self.per_mas
+        self.unit_mas = UNITS_MAS[unit]
+        self.sigmas = SIGMA_MAS[0] / self.unit_mas, SIGMA_MAS[1] / self.unit_mas
 
     def problem(self, key: str, sentence: str) -> None:
         self.problems.append((key, sentence))
@@ -375,7 +374,7 @@ class _Reader:
         raw, before = self.table.get(key), len(self.problems)
         if isinstance(raw, str):
             try:
-                return FunctionCurve(self.load(raw), 1.0 / self.per_mas)
+                return FunctionCurve(self.load(raw), self.unit_mas)
             except SweepError as error:
                 self.problem(key, str(error))
         elif isinstance(raw, list) and raw and all(isinstance(row, list) for row in raw):
@@ -388,11 +387,11 @@ class _Reader:
                 self.problem(key, f"{len(rows)} row: a table needs at least two")
             if len(self.problems) == before:
                 magnitudes, sigmas = zip(*rows, strict=True)
-                return LogLinear(magnitudes, tuple(sigma / self.per_mas for sigma in sigmas))
+                return LogLinear(magnitudes, tuple(rescaled(sigma, self.unit_mas) for sigma in sigmas))
         elif isinstance(raw, list) and raw and all(isinstance(row, dict) for row in raw):
             rows = self._rows(key, raw, {"at": MAGNITUDES, "sigma": self.sigmas, "slope": SLOPES})
             if len(self.problems) == before:
-                return Exponentials(tuple((sigma / self.per_mas, slope, at) for at, sigma, slope in rows))
+                return Exponentials(tuple((rescaled(sigma, self.unit_mas), slope, at) for at, sigma, slope in rows))
         else:
             self.problem(key, "is required: " + FORMS if raw is None else f"{shown(raw)}: must be {FORMS}")
         return None

@@ -22,7 +22,7 @@ from scipy.special import exprel  # scipy.stats takes longer to import than a sm
 
 from linksweep.sweep.analysis import quantity
 from linksweep.sweep.analysis.tables import STEP, derived
-from linksweep.sweep.contract import FEW, SweepError, factor_between, shown, unit_problem
+from linksweep.sweep.contract import FEW, SweepError, factor_between, rescaled, shown, unit_problem
 from linksweep.sweep.contract.rows import FEWEST_SAMPLES, LENGTH, Array, Status, p_value, small_sample_factor
 from linksweep.sweep.formatting import LOGARITHMIC_UNITS, RAGGED, described, plain, units_of, with_error, with_unit
 from linksweep.sweep.studies.record import outer_draw_of
@@ -455,7 +455,7 @@ class Limit:
             return self.number
         if (factor := factor_between(self.unit, unit)) is None:  # of another kind, or none that astropy knows
             raise SweepError(f"{self.variable} is in {unit or 'no unit'}, not convertible to {self.unit}")
-        return self.number * factor
+        return rescaled(self.number, factor)
 
     def is_met(self, values: Array, number: float) -> NDArray[np.bool_]:
         """Return where values meet the condition; ``number`` is the limit in their unit."""

@@ -9,6 +9,7 @@ import math
 import pickle
 import re
 import reprlib
+import sys
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -139,6 +140,16 @@ def factor_between(one: str, other: str) -> float | None:
         return float(Unit(one).to(Unit(other)))
     except (UnitsError, TypeError, ValueError):
         return None
+
+
+def rescaled(number: float, factor: float) -> float:
+    """Return ``factor`` times a number in one unit, without the rounding error of what has at most 14 digits in the
+    other: 1.1 cm are 0.011 m and no other number.
+    """
+    product = factor * number
+    short = float(f"{product:.14g}")
+    is_short = math.isclose(short, product, rel_tol=4 * sys.float_info.epsilon)
+    return number if factor == 1.0 else short if is_short else product
 
 
 def same_unit(one: str, other: str) -> bool:

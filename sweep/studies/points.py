@@ -23,7 +23,7 @@ import numpy as np
 
 from linksweep.sweep.code import Code, reach_of
 from linksweep.sweep.contract import Array, Experiment, Named, Parameter, SweepError, Value, nearest, shown, suggest
-from linksweep.sweep.contract.experiment import LABEL, factor_between, is_quantity, name_problem
+from linksweep.sweep.contract.experiment import LABEL, factor_between, is_quantity, name_problem, rescaled
 from linksweep.sweep.formatting import first_of
 from linksweep.sweep.studies.study import POINT, Form, PointsForm, PointTable, Sampling, number_at
 from linksweep.sweep.tables.columns import rows_listed, table_file
@@ -607,8 +607,8 @@ def _in_units(columns: Cells, units: Mapping[str, str], values: Values, where: K
                 raise ValueError(
                     f"its column is in {theirs}, and the parameter {f'is in {unit}' if unit else 'has no unit'}"
                 )
-            is_scaled = factor != 1.0 and not any(isinstance(cell, str | None) for cell in cells)
-            right[name] = [factor * cell for cell in cells] if is_scaled else cells
+            cells = [None if gone else cell for cell, gone in zip(cells, missing, strict=True)]
+            right[name] = [rescaled(cell, factor) if type(cell) in (int, float) else cell for cell in cells]
     return right
 
 

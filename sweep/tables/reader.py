@@ -51,7 +51,10 @@ MISSING = (
 PREFACE_LINES = 100_000
 
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eEdD][+-]?\d+)?")
-_RULE = re.compile(r"[-=+]+")
+# Of dashes, but a row may be a sign.
+_RULE = re.compile(r"(?=.*[-=]{2})[-=+\s]+")
+# A number, an angle, a limit such as <0.5, or a mark, but no name or word.
+_VALUE = re.compile(r"(\W|\d|_|(?<=[\d.])[eEdDhms]|inf)+")
 _CLOCK = re.compile(r'"?[hd]:m:s"?')  # VizieR's unit of text like 12 34 56.7
 # Name and description of a column in VizieR's TSV.
 _MEANINGS = re.compile(r"^#Column\t(\S+)\t\S+\t([^\t\n]*)", re.MULTILINE)
@@ -329,7 +332,7 @@ def _layout(content: bytes) -> tuple[list[str], list[str], str, int]:
         comments = [line.lstrip("#") for line in reversed(lines[:at]) if line[:1] == "#"]
         above = [_fields(line, d) for line in comments for d in (delimiter, " ")]
         fitting = [fields for fields in above if len(fields) == len(names)] or [names]
-        units = fitting.pop(0) if len(fitting) > 1 and _are_units(fitting[0]) else None
+        units = fitting.pop(0) if len(fitting) > 1 and _are_units(fitting[0], lines[at:], delimiter) else None
         names = fitting[0]
         if any(map(_NUMBER.fullmatch, names)):
             said = f"its first line, {header.strip()[:60]!r}, is not one of column names"
@@ -346,25 +349,29 @@ def _units_and_rules(lines: Sequence[str], delimiter: str, n_columns: int) -> tu
     units, above, first = None, None, 0
     for k, line in enumerate(lines, 1):
         fields = _fields(line.lstrip("#"), delimiter)
-        commented = line.startswith("#")
-        if not line.strip() or (not commented and all(map(_RULE.fullmatch, line.split()))):
-            if line.strip() and above:
-                units = above  # VizieR has them above the line of dashes
-            first = k
-        elif units is None and len(fields) == n_columns and _are_units(fields):
+        if _RULE.fullmatch(line):
+            units, above, first = above or units, None, k  # VizieR has them above the line of dashes
+        elif above:
+            break
+        elif units is None and len(fields) == n_columns and _are_units(fields, lines[k:], delimiter):
             units, first = fields, k
-        elif commented:
+        elif line.startswith("#") or not line.strip():
             first = k
-        elif above or len(fields) != n_columns or any(map(_NUMBER.fullmatch, fields)):
+        elif len(fields) != n_columns or any(map(_NUMBER.fullmatch, fields)):
             break
         else:
             above = fields
     return units, first
 
 
-def _are_units(fields: Sequence[str]) -> bool:
-    stated = [field for field in fields if field.strip("-")]
-    return bool(stated) and all(_unit(field, "raise") is not None for field in stated)
+def _are_units(fields: Sequence[str], lines: Sequence[str], delimiter: str) -> bool:
+    """Return whether fields are units, with values and no texts below them: names such as V look like units, too."""
+    stated = [k for k, field in enumerate(fields) if field.strip("-")]
+    if not all(_unit(fields[k], "raise") is not None for k in stated):
+        return False
+    rows = [row for line in lines if line[0] != "#" and len(row := _fields(line, delimiter)) == len(fields)]
+    cells = {row[k] for row in rows for k in stated}.difference(MISSING)
+    return any(re.search(r"\d", cell) for cell in cells) and all(map(_VALUE.fullmatch, cells))
 
 
 def _bracketed(name: str) -> str:

@@ -128,7 +128,9 @@ def test_identity_is_what_decides_the_numbers():
     in_uas = {**TABLE, "unit": "uas", "sigma_pm": [[9.0, 100], [13.0, 400], [18, 3200]]}
     same = [TABLE, in_uas, TABLE | {"source": "a paper"}, TABLE | {"faint_limit": 18}, TABLE | {"nominal_length": 4}]
     assert {identity(table) for table in same} == {identity(TABLE)}
-    assert identity(TABLE | {"floor_pm": 0.05}) == identity(in_uas | {"floor_pm": 50})
+    mas = {"floor_pm": 0.0203, "sigma_pm": [[9.0, 0.0203], [18.0, 3.2]]}
+    uas = {"unit": "uas", "floor_pm": 20.3, "sigma_pm": [[9.0, 20.3], [18.0, 3200]]}
+    assert identity(TABLE | mas) == identity(TABLE | uas)  # 20.3 / 1000 is 0.020300000000000002
     changes = {"nominal_length": 4.5, "faint_limit": 17.0, "position_ratio": 0.51}
     changes["sigma_pm"] = [[9.0, 0.1], [13.0, 0.4], [18.0, 3.3]]
     power = AMEX | {"sigma_pm": "curves.py:power"}

@@ -37,6 +37,10 @@ def far(distance: Distance, n: int = 1):
     return distance * n
 
 
+def perhaps_far(distance: Annotated[float | None, Parameter("distance", unit="m")] = None, n: int = 1):
+    return n
+
+
 @pytest.fixture
 def read(tmp_path):
     def read(points, function=f, **more):
@@ -161,6 +165,18 @@ fails = lambda row: {"k": 1 / (row["beta"] - 0.2)}
 bad = lambda row: {"k": -0.5}
 again = lambda row: {"beta": 1.0}
 """
+
+
+@pytest.mark.parametrize("kind", ["file", "columns", "nan", "masked"])
+def test_a_column_in_another_unit_has_gaps_and_the_numbers_of_the_parameter(kind, tmp_path, read):
+    (tmp_path / "t.csv").write_text("distance,n\ncm,\n1.1,1\n,2\n29,3\n")
+    held = {
+        "file": tmp_path / "t.csv",
+        "columns": {"columns": {"distance": [1.1, None, 29], "n": [1, 2, 3]}, "units": {"distance": "cm"}},
+        "nan": QTable({"distance": [1.1, np.nan, 29.0] * u.cm, "n": [1, 2, 3]}),
+        "masked": Table({"distance": MaskedColumn([1.1, 2, 29], mask=[0, 1, 0], unit="cm"), "n": [1, 2, 3]}),
+    }[kind]
+    assert read(held, perhaps_far)["distance"] == ["0.011", "None", "0.29"]
 
 
 def test_a_function_derives_further_columns(tmp_path, read, problems_of):

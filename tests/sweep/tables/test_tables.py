@@ -100,6 +100,16 @@ def test_delimited_text(text, names, tmp_path):
         assert [table[n].unit for n in names] == [u.deg, u.deg, None]
 
 
+@pytest.mark.parametrize(
+    "below", ["x,m", "\nx,1", "# by hand\nx,m", "B,1\nA,2", "B,\n3C273,2", "3C273,1\n4C4,2", "-,1\n+,2"]
+)
+@pytest.mark.parametrize("first", ["V", "g", "foo", "+"])
+def test_rows_of_texts_are_no_units(first, below, tmp_path):
+    text = f"{first},\n{below}\n,1"
+    table = read_table(written(tmp_path, "t.csv", "name,n\n" + text))
+    assert table["name"].tolist() == [row.split(",")[0] or None for row in text.split("\n") if row and row[0] != "#"]
+
+
 def test_units_in_names_and_errors_of_parts_are_found(tmp_path):
     text = "Name,RA [deg],Dec [deg],RA_err (uas)\nA,10.5,20,3\n"
     read = Columns(read_table(written(tmp_path, "t.csv", text)))
