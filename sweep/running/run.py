@@ -11,6 +11,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from pathlib import Path
 from threading import Event, RLock, Thread
 from typing import Any
 
@@ -353,7 +354,7 @@ class Writer:
         done = np.flatnonzero(accumulator.status == Status.DONE)
         for start in range(0, len(done), AT_ONCE):
             self._refuse_results(done[start : start + AT_ONCE].tolist())
-        self._files = files_read(plan.grid.study.experiment_reference) if CODE in store.attributes else {}
+        self.declared_files: Mapping[str, Path] = {}  # that the function reads, by name
         self._stamps: dict[str, float] = {}
         self._steady = store.next_row
         self._lock = RLock()  # of the store
@@ -557,7 +558,7 @@ class Writer:
         """Return a data file that the function declares and that is not as it was when the run began; what was taken
         since it was last so counts as made by other code.
         """
-        for name, file in self._files.items():
+        for name, file in self.declared_files.items():
             stamp = file.stat().st_mtime if file.is_file() else 0.0
             records, part = records_of(self.store.attributes), f"file {name}"
             content = file.read_bytes() if stamp not in (0.0, self._stamps.get(name)) else None
@@ -566,7 +567,7 @@ class Writer:
                 continue
             code = {**records[-1]["code"], part: "as it was while a run went on"}
             self.store.record({CODE: json.dumps([*records, {"first_row": self._steady, "code": code}])})
-            self._files = {}  # it is said once
+            self.declared_files = {}  # it is said once
             return name
         self._steady = self.store.next_row
         return ""
@@ -748,6 +749,7 @@ class Session:
         total, pending = self.survey.total.points, self.survey.pending
         failing = FailureCount(self.study, total, total - pending.points, most=max_failures)
         writer = self._writer = Writer(self.accumulator, self._begun(progress), postponed)
+        writer.declared_files = files_read(self.study.experiment_reference)
         most_blocks = writer.pending.most_blocks
         with self._kept(writer):
             writer.pending.most_blocks = min(failing.most_at_once or most_blocks, most_blocks)
