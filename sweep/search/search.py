@@ -562,8 +562,7 @@ def find_galaxies(
 
     Raises SweepError for all that is wrong with tables, options and names of files; then nothing is written.
     """
-    paths = [ecsv, *([] if table is None else [table]), *([] if figure is None else [figure])]
-    _check(search, paths, ecsv, figure, overwrite)  # better before a long search than after it
+    _check(search, ecsv, table, figure, overwrite)  # better before a long search than after it
     result, text, drawn = find_matches(search), io.StringIO(), io.BytesIO()
     matches_table(result).write(text, format="ascii.ecsv")
     contents, columns = {ecsv: text.getvalue().encode()}, match_columns(result)
@@ -581,10 +580,11 @@ def find_galaxies(
     return result
 
 
-def _check(search: Search, paths: Sequence[Path], ecsv: Path, figure: Path | None, overwrite: bool) -> None:
-    """Raise SweepError if one of the ``paths`` to be written cannot or must not be."""
+def _check(search: Search, ecsv: Path, table: Path | None, figure: Path | None, overwrite: bool) -> None:
+    """Raise SweepError if an output cannot or must not be written."""
     problems: list[str] = []
     inputs = {path.resolve() for path in (search.stars | search.galaxies).values()}
+    paths = [path for path in (ecsv, table, figure) if path is not None]
     wanted = [path.resolve() for path in paths]
     for path in paths:
         parent = next(p for p in path.absolute().parents if p.exists())

@@ -133,8 +133,8 @@ def solve_link(
             listed = ", ".join(f"{setup.names[places[k]]} ({100.0 * part[k]:.0f} %)" for k in large)
             notes.append(f"more than {100 * solving.LARGE_SHARE:.0f} % of the weight in {block}: {listed}")
     notes = [*([doubt.text] if doubt.text else []), *setup.notes, *further, *result.notes, *notes]
-    per = effect, squares, sources.count
-    return Link(setup, str(how), result, covariances, samples, *per, doubt, tuple(notes), noise)
+    of_sources = effect, squares, sources.count
+    return Link(setup, str(how), result, covariances, samples, *of_sources, doubt, tuple(notes), noise)
 
 
 def _with_noise(setup: Setup, how: solving.Clip) -> tuple[Setup, solving.Sources, solving.Clipped, Noise, list[str]]:
