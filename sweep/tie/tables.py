@@ -67,8 +67,7 @@ CALIBRATORS = (0.005, 50.0)
 EARLIEST, LATEST = 1970.0, 2060.0
 
 # Of values, and of the errors of positions.
-_SIZES = *["mas"] * 3, *["mas/yr"] * 2, *["mas/yr2"] * 2, *["mas/yr3"] * 2
-UNITS = dict(zip((*PARAMETERS, *ACCELERATIONS), _SIZES, strict=True))
+UNITS = {name: archives.unit_of(f"{name}_error").replace(" ", "") for name in (*PARAMETERS, *ACCELERATIONS)}
 
 # Of solutions that are not of single stars; in DR3 their positions and motions are averages.
 SOLUTION_TYPE = "nss_solution_type"
