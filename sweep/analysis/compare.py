@@ -19,6 +19,7 @@ import numpy as np
 from linksweep.sweep.analysis import quantity
 from linksweep.sweep.contract import FEW, Status
 from linksweep.sweep.formatting import finite_or, first_of, in_ascii, prefixed, rounded, to_json, units_of, with_error
+from linksweep.sweep.studies.record import FUNCTION
 from linksweep.sweep.studies.study import Derived, Ratio, Reading, Slope, printed_rounding
 from linksweep.sweep.table_writer import Column, Table
 
@@ -166,7 +167,7 @@ def _slope(line: laws.Line, where: Mapping[str, Any], over: str, fit: Callable[.
     if not (np.all(line.x > 0.0) and np.all(np.isfinite(line.y)) and np.all(line.y > 0.0)):
         return Measured(where, broken="there are values that are not above 0, which have no power law")
     try:
-        law = fit(line.x, line.y, line.errors, line.samples)
+        law = line.fitted(fit)
     except ValueError as error:
         return Measured(where, missing=str(error))
     return Measured(where, law["exponent"], law["exponent_error"])
@@ -219,18 +220,18 @@ def compare(dataset: xr.Dataset) -> list[Comparison]:
 def _published_numbers(dataset: xr.Dataset) -> Iterator[Comparison]:
     """Yield the comparisons of NAME with NAME_published, point by point."""
     for name in (n for n in map(str, dataset.data_vars) if f"{n}_published" in dataset):
-        table, is_exact = dataset[f"{name}_published"], quantity.standard_error(dataset, name) is None
-        about = _about(dataset, name, name, units_of(dataset[name].attrs), str(table.attrs["source"]))
+        table, unit = dataset[f"{name}_published"], units_of(dataset[name].attrs)
+        about = _about(dataset, name, name, unit, str(table.attrs["source"]))
+        is_mean = quantity.standard_error(dataset, name) is not None
+        is_count = dataset[name].dtype.kind in "iu" or not (is_mean or unit or FUNCTION in dataset.attrs)
         rule = Rule(float(table.attrs.get("tolerance", 0.0)), str(table.attrs.get("tolerance_reason", "")))
         for index in np.argwhere(np.isfinite(table.values)):
             here = dict(zip(map(str, table.dims), map(int, index), strict=True))
             number, rounding = float(table[here]), float(dataset[f"{name}_published_rounding"][here])
             problem = _problem(dataset, name)
             ((_, ours),) = [({}, Measured({}, missing=problem))] if problem else _values(dataset, name, here)
-            if rounding == 0.5 and number.is_integer() and is_exact:  # a count
-                yield judged(about, ours, number, 0.0, Rule())
-            else:
-                yield judged(about, ours, number, rounding, rule)
+            is_exact = is_count and rounding == 0.5 and number.is_integer()
+            yield judged(about, ours, number, 0.0 if is_exact else rounding, Rule() if is_exact else rule)
 
 
 def _claims(dataset: xr.Dataset) -> Iterator[Comparison]:

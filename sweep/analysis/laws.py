@@ -81,9 +81,10 @@ _LIMIT = re.compile(
 class Line:
     """The points along an axis that the study does not exclude, in its order: ``y`` (n,) at ``x`` (n,), of ``status``.
 
-    ``errors`` are one sigma of independent points (n,), NaN where there are none, or the covariance of all (n, n),
-    which was estimated from ``samples``: infinity if it is exact or points are independent, NaN if they share random
-    numbers and their covariance is not known.  ``index`` is the place of the line along the other dimensions.
+    ``errors`` are one sigma of independent points (n,), NaN where there are none or they are not known, or the
+    covariance of all (n, n), which was estimated from ``samples``: infinity if it is exact or points are independent,
+    NaN if too few errors are known, or points share random numbers and their covariance is not known.  ``index`` is the
+    place of the line along the other dimensions.
     """
 
     index: Mapping[str, int]
@@ -93,6 +94,14 @@ class Line:
     errors: Array
     status: NDArray[Any]
     samples: float
+
+    def fitted(self, fit: Callable[..., dict[str, Any]]) -> dict[str, Any]:
+        """Return the numbers of a ``fit`` to the points with a known error above 0, and how many these are; to all
+        points where there are none, or too few.
+        """
+        known = (self.errors > 0.0) & np.isfinite(self.errors)
+        used = known if self.errors.ndim == 1 and known.any() and not np.isnan(self.samples) else slice(None)
+        return fit(self.x[used], self.y[used], self.errors[used], self.samples) | {"points": len(self.x[used])}
 
 
 @dataclass(frozen=True)
@@ -197,7 +206,8 @@ def lines_of(
 ) -> Lines:
     """Return a quantity along an axis like `lines`, but with points that are not done.
 
-    Where ``least`` is above 1, points at which the axis has no effect belong to no line.
+    Where ``least`` is above 1, points at which the axis has no effect belong to no line.  The ``samples`` of a line are
+    NaN where fewer than ``least`` of its errors are known.
     """
     dimension = str(dataset[over].dims[0])
     pair = (dimension, f"{dimension}_other")
@@ -237,19 +247,25 @@ def lines_of(
     ):
         used = (status[number] != Status.EXCLUDED) & ~(np.isnan(x) & (least > 1))
         spread = errors[number][used] if covariance is None else errors[number][np.ix_(used, used)]
-        made.append(Line(index, unit, x[used], value[number, used], spread, status[number, used], samples))
+        are_few = np.count_nonzero((spread > 0.0) & np.isfinite(spread)) < least and spread.any()
+        n = np.nan if are_few and covariance is None and error is not None else samples
+        made.append(Line(index, unit, x[used], value[number, used], spread, status[number, used], n))
     grid = quantity.grid_of(dataset, others)
-    words = _errors_in_words(dataset, error is not None, covariance is not None, samples)
+    words = _errors_in_words(dataset, made, error is not None and bool(error.any()), covariance is not None, samples)
     return Lines(variable, over, units_of(dataset[over].attrs), others, grid, made, words)
 
 
-def _errors_in_words(dataset: xr.Dataset, known: bool, correlated: bool, samples: float) -> str:
+def _errors_in_words(dataset: xr.Dataset, made: Sequence[Line], known: bool, correlated: bool, samples: float) -> str:
     if correlated:
         return "covariance between points" + (f", from {samples:.0f} samples" if np.isfinite(samples) else "")
     if np.isnan(samples):
         needed = f"{FEWEST_SAMPLES} {outer_draw_of(dataset.attrs)}s, or as many blocks of one, and no `precision`"
         return f"not known, as points share random numbers and the store has no covariance of them (it needs {needed})"
-    return "Monte Carlo, independent points" if known else "none"
+    if not known:
+        return "none"
+    unknown = np.concatenate([np.isnan(line.errors) for line in made])
+    some = f", not known at {unknown.sum():,} of {unknown.size:,}" if unknown.any() else ""
+    return f"Monte Carlo, independent points{some}"
 
 
 # Laws
@@ -409,7 +425,7 @@ def _fitted(made: Lines, fit: Callable[..., dict[str, Any]]) -> list[dict[str, A
             problems.append(f"{made.variable} must be above 0; it is {value:g}{place}")
         elif len(line.x):
             try:
-                row |= (law := fit(line.x, line.y, line.errors, line.samples))
+                row |= (law := line.fitted(fit))
                 row["p_value"] = p_value(law["chi2"], law["dof"], line.samples)
             except ValueError as error:
                 problems.append(f"{error}: {made.variable} over {made.over}{made.at(line)}")
@@ -422,7 +438,9 @@ def _notes(formula: str, made: Lines, rows: Sequence[Mapping[str, Any]]) -> list
     bad = sum(row.get("p_value", math.nan) < P_VALUE_ALLOWED for row in rows)
     more = f"{bad} of {len(rows)} lines: the law does not hold within the errors, p < {P_VALUE_ALLOWED:g}"
     weights = ": points weigh the same, errors come from the scatter" if made.errors == "none" else ""
-    return [f"{formula}; errors: {made.errors}{weights}", *([more] if bad else [])]
+    left_out = sum(len(line.x) for line in made.lines) - sum(row["points"] for row in rows)
+    fewer = f"points without a known error above 0 are left out: {left_out:,}"
+    return [f"{formula}; errors: {made.errors}{weights}", *([fewer] if left_out else []), *([more] if bad else [])]
 
 
 def _expected(dataset: xr.Dataset, made: Lines, line: Line) -> float:

@@ -65,7 +65,7 @@ def _is_number(dataset: xr.Dataset, name: str) -> bool:
 def headline_variables(dataset: xr.Dataset) -> list[str]:
     """Return the headline outputs of an experiment, those with errors first."""
     names = [str(name) for name, variable in dataset.data_vars.items() if variable.attrs.get("headline")]
-    return sorted(names, key=lambda name: standard_error(dataset, name) is None)
+    return sorted(names, key=lambda name: f"{name}_mc_error" not in dataset)
 
 
 def with_values(dataset: xr.Dataset, names: Sequence[str]) -> list[str]:
@@ -105,14 +105,16 @@ def require_quantity(dataset: xr.Dataset, variable: str) -> None:
 
 
 def standard_error(dataset: xr.Dataset, variable: str) -> xr.DataArray | None:
-    """Return the one-sigma error of a variable from all its error variables in quadrature; None if it has none.
+    """Return the one-sigma error of a variable from all its error variables in quadrature; None if it is exact, as what
+    has none of them is, except for the largest and the least of random numbers.
 
-    A NaN in one of several is an error that is not known, such as that of few catalogues, and is left out; if none is
-    known, the result is NaN.
+    NaN is an error that is not known, such as that of these or of few catalogues; it is left out if another part of the
+    error is known.
     """
     parts = [dataset[f"{variable}_{s}"] for s in ERROR_SUFFIXES if f"{variable}_{s}" in dataset]
-    if not parts:
-        return None
+    if not parts:  # a function without random numbers has no seed
+        value, is_drawn = dataset[variable], {FUNCTION, "seed"} <= dataset.attrs.keys()
+        return value.copy(data=np.full(value.shape, np.nan)) if is_drawn else None
     values = np.array([part.transpose(*parts[0].dims).values for part in parts])
     known = is_known(values)
     squares = np.sum(np.where(known, values, 0.0) ** 2, axis=0)

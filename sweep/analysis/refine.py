@@ -166,10 +166,13 @@ def looked_at(asked: Study, now: Study, rounds: Sequence[Round], goal: Goal, dat
     made, common = laws.lines_of(dataset, variable, over), quantity.shares_random_numbers(dataset, [over])
     levels, known = made.thresholds(limit), dict[str, float]()
     gaps, factors = list[tuple[float, laws.Line, int]](), list[tuple[laws.Line, int, float]]()
+    unknown = 0.0 if common or quantity.standard_error(dataset, variable) is None else np.inf
+    if unknown and f"{variable}_mc_error" not in dataset:
+        raise SweepError(f"{variable} has no Monte-Carlo error, without which a place in it is not known")
     for whole in made.lines:
         good = np.flatnonzero((whole.status == Status.DONE) & np.isfinite(whole.y) & np.isfinite(whole.x))
         # Points with common random numbers have most of their errors in common, too.
-        errors = np.zeros(len(good)) if common else np.nan_to_num(whole.errors[good])
+        errors = np.zeros(len(good)) if common else np.nan_to_num(whole.errors[good], nan=unknown)
         line = replace(whole, x=whole.x[good], y=whole.y[good], errors=errors)
         level, within = levels.get(line.unit, math.nan), finest * ROUNDING
         at = at_crossings(line, limit.is_met(line.y, level), level, within)

@@ -109,6 +109,9 @@ def sensitivity(dataset: xr.Dataset, output: str | None = None, seed: int = 0) -
     made = [method.estimate(values[i], None if errors is None else errors[i]) for i in places]
     points = int(np.prod([dataset.sizes[d] for d in method.over]))
     notes = [f"sensitivity of {output} by {method.name}, from {points:,} points", *method.notes]
+    if any((np.isnan(sigma) & np.isfinite(index)).any() for index, sigma, *_ in made):
+        why = "points share random numbers, or have Monte-Carlo errors that are not known"
+        notes.append(f"{why}: neither are the errors of indices, in which noise counts as variation")
     if unknown := sum(bool(np.isnan(one[0]).all()) for one in made):
         where = f" at {unknown} of {len(made)} places" if len(made) > 1 else ""
         notes.append(f"{output} does not vary{where}, or no more than its errors: no indices")
@@ -162,12 +165,13 @@ def _of_grid(dataset: xr.Dataset, seed: int) -> _Method:
     joint = {d: [d, *(name for name, c in axes.items() if c.dims == (d,) and name != d)] for d in over}
     parameters = ["+".join(names) for names in joint.values()]
     continuous = [len(joint[d]) == 1 and d in dataset.coords and dataset[d].dtype.kind == "f" for d in over]
-    shared = quantity.shares_random_numbers(dataset, over)
+    shared = any(quantity.shares_random_numbers(dataset, [d]) for d in over)
 
     def estimate(values: Array, errors: Array | None) -> Sequence[Array]:
-        first, first_error, total, total_error = indices_of_grid(values, errors, continuous, seed)
-        unknown = np.full(len(over), np.nan)
-        return (first, unknown, total, unknown) if shared else (first, first_error, total, total_error)
+        if not shared and (errors is None or np.isfinite(errors).all()):
+            return indices_of_grid(values, errors, continuous, seed)
+        first, _, total, _ = indices_of_grid(values, None, continuous, seed)
+        return first, (unknown := np.full(len(over), np.nan)), total, unknown
 
     notes = ["every value of an axis counts the same: real numbers are midpoints of equal cells"]
     notes += [f"{n}: zipped axes advance together, and have one index" for n in parameters if "+" in n]
@@ -175,8 +179,6 @@ def _of_grid(dataset: xr.Dataset, seed: int) -> _Method:
     if coarse:
         names = ", ".join(coarse)
         notes.append(f"{names} with fewer than {COARSE} values: what happens between them is not in the errors")
-    if shared:
-        notes.append("points share random numbers, so that the errors are not known")
     return _Method("analysis of variance of the grid", parameters, over, INDICES, estimate, notes)
 
 
@@ -225,7 +227,7 @@ def indices_of_grid(
     ([0.2, 0.8], [0.2, 0.8])
     """
     equal = [np.full(n, 1.0 / n) for n in values.shape]
-    noise = np.zeros(values.shape) if errors is None else np.nan_to_num(errors) ** 2
+    noise = np.zeros(values.shape) if errors is None else errors**2
     estimated = _indices(values, noise, equal)
     coarseness = np.zeros(estimated.shape)
     for degree in DEGREES if any(continuous) else ():

@@ -9,6 +9,7 @@ import pytest
 from scipy.stats import norm
 
 import linksweep
+from linksweep import Output, experiment
 from linksweep.sweep.analysis import compare as verdicts
 from tests.conftest import COINS
 from tests.sweep.analysis.made import DONE, EXCLUDED, FAILED, MISSING, N, grid
@@ -84,13 +85,34 @@ def test_a_count_must_be_equal_and_the_error_between_catalogues_adds_in_quadratu
     for value, error, catalogues, text, verdict, allowance in (
         *((28.0, None, None, "28", "reproduced", 0.0), (28.4, None, None, "28", "NOT reproduced", 0.0)),
         (28.9, 0.15, None, "28", "reproduced", 0.95),  # what has an error is no count
+        (28.4, None, "mas", "28", "reproduced", 0.5),  # nor what has a unit
         *((0.6, 0.003, 0.004, "0.60", "reproduced", 0.02), (0.6, 0.003, np.nan, "0.60", "reproduced", 0.014)),
     ):
         dataset = grid(value, error, published={(0, 0): text}, printed=WIDE)
-        if catalogues is not None:  # NaN is that of one catalogue
+        dataset["width"].attrs["units"] = "mas" if catalogues == "mas" else ""
+        if isinstance(catalogues, float):  # NaN is that of one catalogue
             dataset["width_catalogue_error"] = 0.0 * dataset["width"] + catalogues
         comparison = only(dataset)
         assert (comparison.verdict, comparison.allowance) == (verdict, pytest.approx(allowance))
+
+
+@experiment(outputs=[Output("y", statistics=["mean", "q99", "max"])])
+def drawing(rng, x: float):
+    return {"y": rng.random() / x}
+
+
+def test_what_draws_random_numbers_is_judged_only_by_an_error_that_is_known(tmp_path):
+    """300 realisations are too few for that of a quantile of 99 %, and a maximum has none."""
+    names, ends = ("y_mean", "y_q99", "y_max"), {"of": {"x": 4.0}, "to": {"x": 1.0}}
+    slopes = [claim(published="-1.0", slope={"variable": name, "over": "x"}) for name in names]
+    ratios = [claim(published="0.250", ratio={"variable": name, **ends}) for name in names]
+    study = {"experiment": drawing, "axes": {"x": [1.0, 2.0, 4.0]}, "sampling": {"n_sim": 300, "seed": 2}}
+    values = {n: {"slope": {"variable": n, "over": "x"}, "equals": -0.5} for n in names}
+    study["conclusion"] = {"sentences": [f"{n} {{{n}}}" for n in names], "values": values}
+    dataset = linksweep.run(study | {"claim": slopes + ratios}, tmp_path / "s", pool="serial")
+    assert [one.verdict for one in compare(dataset)] == ["reproduced", "incomplete", "incomplete"] * 2
+    said = [sentence.partition(":")[0] for sentence in linksweep.answer(dataset).sentences]
+    assert said == ["Expected, but not found", "Not judged", "Not judged"]
 
 
 def test_a_point_that_is_not_done_is_incomplete_and_not_left_out():

@@ -65,6 +65,20 @@ def test_common_random_numbers_without_a_covariance_have_no_error():
     assert (ratio(dataset, "width", "model", "old", "new")["ratio_error"] > 0.0).all()
 
 
+@pytest.mark.parametrize("unknown", [np.nan, np.inf, 0.0])
+def test_a_law_is_through_the_points_with_known_errors(unknown):
+    y, errors = N**-0.5 * [1.0, 1.02, 2.0, 0.97, 1.0], 0.01 * N**-0.5 * [1.0, 1.0, np.nan, 1.0, 1.0]
+    few = np.where(np.arange(5) == 1, errors, np.nan)
+    errors[2] = unknown
+    found = fit_power_law(grid(np.array([y, y]), np.array([errors, few])), "width", "n", -0.5)
+    part = fit_power_law(grid(y, errors).isel(n=[0, 1, 3, 4]), "width", "n", -0.5)
+    assert found.isel(model=0).drop_attrs().equals(part.isel(model=0).drop_attrs())
+    assert found["points"].values.tolist() == [4.0, 5.0]
+    assert np.isnan(found["exponent_error"].values[1])
+    assert found["conclusion"].values[1] == ""
+    assert "left out: 1" in found.attrs["notes"]
+
+
 def test_truth_values_and_integers_have_crossings_and_values_between():
     dataset = grid(N)
     dataset["flag"] = dataset["width"] > 60.0

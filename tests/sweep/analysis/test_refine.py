@@ -137,6 +137,20 @@ def test_a_point_gets_realisations_rather_than_neighbours_below_its_error_and_no
     assert bare(mine).equals(bare(lavish.sel(x=ELEVEN["x"])))
 
 
+@linksweep.experiment(outputs=[linksweep.Output("y", statistics=["q99", "max"])])
+def high(rng, x: float):
+    return {"y": x + rng.normal()}
+
+
+def test_points_whose_errors_are_not_known_get_realisations_and_no_neighbours():
+    goal = {"axes": {"x": [0.0, 0.6, 2.0]}, "sampling": {"n_sim": 200, "seed": 1}, "pool": "serial"}
+    ds = linksweep.refine(high, "q.zarr", find="y_q99 > 3", within=0.001, max_realisations=2000, **goal)
+    assert rounds(ds)[0]["points"] == []
+    assert ds["y_q99_mc_error"].sel(x=0.6).notnull()
+    with pytest.raises(SweepError, match="y_max has no Monte-Carlo error"):
+        linksweep.refine(high, "q.zarr", find="y_max > 3", within=0.01, **goal)
+
+
 @pytest.mark.parametrize(("most", "spent"), [(1000, 1100), (1100, 1100), (1250, 1200), (1500, 1500)])
 def test_no_more_than_the_realisations_that_are_allowed_are_spent_on_new_points(most, spent):
     def wave(rng, x: float):

@@ -141,6 +141,19 @@ def test_crossed_axes_and_dimensions_of_an_output_have_indices_each(tmp_path):
     assert np.allclose(found["first"].values, [[1, 0], [0.5, 0.5], [0, 1]], atol=0.04)
 
 
+@pytest.mark.parametrize(("name", "shared"), [("y_mean", ["x"]), ("y_mean", ["z"]), ("y_std", []), ("y_max", [])])
+def test_unknown_errors_of_points_are_unknown_errors_of_indices(name, shared, tmp_path):
+    @experiment(outputs=[linksweep.Output("y", statistics=["mean", "std", "max"])], shared=shared)
+    def noisy(rng, x: float, z: float):
+        return {"y": x + z + rng.normal()}
+
+    axes = dict.fromkeys("xz", np.linspace(0.05, 0.95, 10))
+    found = sensitivity(run(noisy, tmp_path / "s", axes=axes, sampling={"n_sim": 20}), name)
+    assert np.isnan(found[["first_error", "total_error"]].to_array()).all()
+    assert "in which noise counts" in found.attrs["notes"]
+    assert (found.total >= found["first"] - 1e-12).all()
+
+
 def test_what_has_no_indices_says_why(tmp_path):
     def f(a: float, b: float = 1.0):
         if a > 0.9:
