@@ -8,15 +8,12 @@ from tests.test_docs import code
 from tests.tiers import PATIENCE_S
 
 pytestmark = pytest.mark.slow
-
 ON_POOLS = """
 for pool in ("serial", "threads", "processes"):
     on = linksweep.run(growth, axes={"rate": [0.0, 0.1]}, store=f"{pool}.zarr", pool=pool, progress=False)
     print(pool, on.end.values.tolist() == [growth(r)["end"] for r in (0.0, 0.1)])
 """
-
 MISTAKE = """linksweep.run(growth, axes={"rte": [0.0]})"""
-
 OTHER_CODE = """
 scale = 3.0
 linksweep.run(growth, axes={"rate": [0.0, 0.1]}, store="serial.zarr", pool="serial", progress=False)

@@ -125,7 +125,6 @@ ENDS = {  # how the constant, CONSTANT, comes into NAME(x)
     "beside a lock": "import threading\n\nL_NAME = threading.Lock()\n\ndef NAME(x):\n    with L_NAME:\n        return x + CONSTANT",
     "beside random numbers": "import numpy as np\n\nR_NAME = np.random.default_rng()\n\ndef NAME(x):\n    R_NAME.normal()\n    return x + CONSTANT",
 }
-
 UNUSED = """
 g = i = j = k = m = n = v = value = y = run = OTHER
 import click, dataclasses, functools, linksweep, numpy, pytest

@@ -16,7 +16,6 @@ from linksweep.sweep.studies.reader import study_from_dict
 from linksweep.sweep.studies.study import printed_rounding
 
 __all__ = ["answers", "compare", "report_of", "report_page", "study_from_dict"]
-
 N = np.array([10.0, 20.0, 50.0, 100.0, 300.0])
 MISSING, DONE, FAILED, EXCLUDED = Status.MISSING, Status.DONE, Status.FAILED, Status.EXCLUDED
 

@@ -7,7 +7,6 @@ import re
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
-from scipy.stats import chi2, kstest
 
 import linksweep
 from linksweep import SweepError, find, fit_levelling, fit_power_law, interpolate, ratio
@@ -228,22 +227,6 @@ def test_a_line_that_turns_back_at_the_limit_has_not_crossed_it(noise, mirrored)
     lines = grid([[20, 2, -1]] * 2, [[0.1, 1.5, 0.0], [0.1, 1.4999, 0.0]], x=x[:3])
     errors = find(lines, "width > 0", "n")["first_error"].values
     assert errors[0] == pytest.approx(errors[1], rel=1e-3)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("correlation", [0.0, 0.8])
-def test_stated_errors_and_chi2_of_a_power_law_are_those_of_simulated_points(correlation):
-    relative = np.array([0.01, 0.03, 0.01, 0.02, 0.02])
-    spread = np.outer(relative, relative) * (correlation + (1.0 - correlation) * np.eye(5))
-    normal = np.random.default_rng(23).standard_normal((1500, 5))
-    y = 5.0 * N**-0.5 * np.exp(normal @ np.linalg.cholesky(spread).T)
-    covariance = ("model", "n", "n_other"), spread * y[:, :, None] * y[:, None, :]
-    laws = linksweep.fit_power_law(grid(y, width_mc_covariance_n=covariance), "width", "n")
-    level = np.log(laws.amplitude / (5.0 * laws.pivot**-0.5)) / (laws.amplitude_error / laws.amplitude)
-    for pull in ((laws.exponent + 0.5) / laws.exponent_error, level):
-        assert float(pull.mean()) == pytest.approx(0.0, abs=4.0 / np.sqrt(1500))
-        assert float(pull.std()) == pytest.approx(1.0, abs=4.0 / np.sqrt(2 * 1500))
-    assert kstest(laws.chi2, chi2(3).cdf).pvalue > 1e-3
 
 
 def level_off(y, errors, fall=0.05):

@@ -13,6 +13,7 @@ from linksweep.sweep.contract import SweepError
 from tests.sweep.opening import Stopping, bare, files_of
 from tests.tiers import examples, slow
 
+pytestmark = pytest.mark.usefixtures("here")
 ELEVEN = {"x": np.linspace(0.0, 1.0, 11)}
 FOUND = {"find": "shape > 0", "within": 0.1}
 GOALS = [({}, "find"), (FOUND | {"until": "error < 1"}, "until"), ({"find": "shape > 0"}, "within")]
@@ -35,11 +36,6 @@ def crossings(ds, condition, over="x"):
 
 def rounds(ds):
     return json.loads(ds.attrs.get("refined", "[]"))
-
-
-@pytest.fixture(autouse=True)
-def in_a_folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
 
 
 @pytest.mark.slow

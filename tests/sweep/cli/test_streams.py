@@ -94,8 +94,6 @@ def loud(x: float):
 """
 WORDS = 'print("said"); os.system("echo said"); os.write(1, b"said\\n")'
 LOG = "logging.basicConfig(stream=sys.stdout, level=logging.DEBUG, force=True)"
-
-
 MORE = [slow(WORDS, LOG, "threads"), slow(WORDS, LOG, "serial"), slow(LOG, WORDS, "processes")]
 
 

@@ -69,6 +69,11 @@ CHANGES = {  # what one point changes of its process, and what the others look a
     "output": (lambda: setattr(sys, "stdout", None), lambda: str(print("x"))),
     "errors": (lambda: setattr(sys, "stderr", None), lambda: str(print("", end="", file=sys.stderr))),
 }
+SCRIPT = """
+import linksweep, sys
+ds = linksweep.run(lambda x: 2.0 * x, axes={"x": [1.0, 2.0]}, store="s.zarr", workers=2)
+print(ds.result.values, [name for name in ("bokeh", "distributed", "dask.array") if name in sys.modules])
+"""
 
 
 def written(folder, deed, *places):
@@ -191,13 +196,6 @@ def test_no_process_of_a_run_imports_what_lies_in_the_present_folder(tmp_path, w
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert (done.returncode, "2 points done, 1 failed" in done.stderr) == (1, True), done.stderr
     assert not (tmp_path / "marks").exists(), (tmp_path / "marks").read_text()
-
-
-SCRIPT = """
-import linksweep, sys
-ds = linksweep.run(lambda x: 2.0 * x, axes={"x": [1.0, 2.0]}, store="s.zarr", workers=2)
-print(ds.result.values, [name for name in ("bokeh", "distributed", "dask.array") if name in sys.modules])
-"""
 
 
 def test_a_script_by_standard_input_computes_in_worker_processes(tmp_path):

@@ -9,8 +9,6 @@ from linksweep import Output, SweepError, experiment
 from tests.sweep.opening import same
 
 KEPT = {"n_sim": 1200, "seed": 3, "keep_samples": True}  # three blocks
-
-
 OUTPUTS = [Output("wait", "s", statistics=["mean", "std", "q90", "max"]), Output("pair", dims="k")]
 A = [1.0, 2.0, 4.0, 7.0]
 LAID_OUT = {

@@ -183,8 +183,6 @@ def test_differences_from_a_prediction_are_in_errors_and_have_no_unit(factor):
 CHIRP = '''
 import numpy as np
 import xarray as xr
-
-
 def chirp(a: float, b: float, window: str, n: int = 9):
     """Measure the peak of a chirp,
     which a window lowers.

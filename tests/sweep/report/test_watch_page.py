@@ -24,6 +24,14 @@ from tests.tiers import PATIENCE_S
 
 watch = pytest.importorskip("linksweep.sweep.report.page")
 __all__ = ["chromium", "evil_store"]
+SLOW = """
+import time
+def period(length: float, noise: float = 0.1, rng=None):
+    time.sleep(0.001)
+    if length > 1.9:
+        raise ValueError("the string broke <b>here</b>")
+    return length + rng.normal(0.0, noise)
+"""
 
 
 def ask(page, path, **request):
@@ -84,16 +92,6 @@ def test_every_text_of_a_store_is_escaped(evil_store, tmp_path):
     assert all(words in parts[part] for part, words in said)
     assert not [n for n in names_in("".join(parts.values())) if n in ("script", "img") or n.startswith("on")]
     assert files_of(evil_store) == before
-
-
-SLOW = """
-import time
-def period(length: float, noise: float = 0.1, rng=None):
-    time.sleep(0.001)
-    if length > 1.9:
-        raise ValueError("the string broke <b>here</b>")
-    return length + rng.normal(0.0, noise)
-"""
 
 
 @pytest.fixture

@@ -36,6 +36,12 @@ EQUAL += [("np.array([[0.0, 1.0], [2.0, 3.0]])", "np.array([[0.0, 2.0], [1.0, 3.
 COUNTED = [*((IMPORTS[0], *pair, "copy.deepcopy(V)") for pair in EQUAL), ("import m", "3", "4", "getattr(m, 'V')")]
 COUNTED += [(statement, *use) for use in USES for statement in IMPORTS]
 COUNTED += [("from m import *", "3", "4", body) for body in ("eval('V')", "globals()['V']")]
+LATE = """
+import helper
+def total(points, n_sim):
+    from late import PLUS
+    return {"total": [n_sim * (helper.FACTOR * p["rate"] + PLUS) for p in points]}
+"""
 
 
 @pytest.fixture
@@ -148,14 +154,6 @@ def test_fresh_replaces_a_store_and_nothing_else(folder, sweep):
     assert sweep("run", "s.toml", "-o", "none.zarr", "--fresh", cwd=folder)[0] == 0
 
 
-LATE = """
-import helper
-def total(points, n_sim):
-    from late import PLUS
-    return {"total": [n_sim * (helper.FACTOR * p["rate"] + PLUS) for p in points]}
-"""
-
-
 @pytest.mark.parametrize("pool", ["serial", slow("threads"), slow("processes")])
 def test_helpers_of_the_same_name_in_two_folders_do_not_mix(tmp_path, pool):
     folders = [tmp_path / str(number) for number in (1, 2)]
@@ -225,8 +223,6 @@ c = C()
 def f(x: float):
     return x * K * c.k * C.k + len(ALL) + ALL["a"]([0.0]) * 0 + getattr(c, "z", 0.0)
 """
-
-
 NAMED = {"h.K = 4.0": "value h.K", "h.c.k = 4.0": "value h.c", "h.C.k = 4.0": "value h.C.k"}
 NAMED |= {"h.ALL['a'] = sum": "value h.ALL", "h.C.__bases__ = (h.B2,)": "class h.C"}
 

@@ -37,6 +37,13 @@ OF_A_KIND = {
     "truth": st.booleans(),
     "number": st.floats(allow_nan=False, allow_infinity=False),
 }
+PICTURES = """
+import numpy as np
+from pathlib import Path
+def picture(a: int):
+    assert HIDDEN == (not list(Path("FOLDER").glob("*.zarr")))
+    return {"image": np.random.default_rng(a).normal(size=(1100, 500))}
+"""
 
 
 def run(function, store, **given):
@@ -199,15 +206,6 @@ def test_who_writes_large_arrays_changes_no_bit_and_they_are_stored_once(options
     linked = [file for file in (tmp_path / "s.zarr" / "image").glob("c*.*") if file.stat().st_nlink == 2]
     assert len(linked) == np.sum(ds["status"].values == 1) * 9
     assert len(list((tmp_path / "s.zarr" / "blocks").glob("large.*"))) == len(linked)
-
-
-PICTURES = """
-import numpy as np
-from pathlib import Path
-def picture(a: int):
-    assert HIDDEN == (not list(Path("FOLDER").glob("*.zarr")))
-    return {"image": np.random.default_rng(a).normal(size=(1100, 500))}
-"""
 
 
 @pytest.mark.slow

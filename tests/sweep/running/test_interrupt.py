@@ -37,6 +37,14 @@ READY = (sys.executable, "-c", "import linksweep.sweep.__main__ as command; prin
 STOPS = [(signal.SIGINT, 130, "interrupted", ("--workers", 2))]
 STOPS += [slow(signal.SIGTERM, 143, "stopped by SIGTERM", ("--pool", "threads", "--workers", 2))]
 STOPS += [slow(signal.SIGHUP, 129, "stopped by SIGHUP", ("--pool", "serial"))]
+SLOW = """
+import time, linksweep.sweep.stores.store, linksweep.sweep.cli
+def slow(self, dataset):
+    print('writing', flush=True)
+    time.sleep(3600)
+linksweep.sweep.stores.store.Store.write = slow
+linksweep.sweep.cli.main()
+"""
 
 
 @pytest.fixture
@@ -199,16 +207,6 @@ def test_interrupted_while_the_cluster_starts(start_sweep, sleepers, moment):
     time.sleep(moment)
     returned, err = stopped(process, signal.SIGINT)
     assert (returned, "interrupted" in err, "Traceback" in err) == (130, True, False), err
-
-
-SLOW = """
-import time, linksweep.sweep.stores.store, linksweep.sweep.cli
-def slow(self, dataset):
-    print('writing', flush=True)
-    time.sleep(3600)
-linksweep.sweep.stores.store.Store.write = slow
-linksweep.sweep.cli.main()
-"""
 
 
 @pytest.mark.slow

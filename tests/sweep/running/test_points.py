@@ -19,6 +19,12 @@ LINK = {"experiment": "linksweep.core.experiment:link", "sampling": {"n_sim": 60
 STARS = {"x": [1.0, 2.0, 2.0], "star": ["Sirius", None, "Vega"], "hd": [48915, 2**62, 172167]}
 CELLS = st.one_of(st.none(), st.text("ab", max_size=2), st.integers(0, 3), st.floats(0, 2))
 TABLES = st.lists(st.tuples(st.sampled_from([1.0, 2.0, 3.0]), CELLS), min_size=1, max_size=5)
+FILE = """
+def model(x: float = 1.0, k: int = 1):
+    if k == 3:
+        raise ValueError("three")
+    return {"y": x * k}
+"""
 
 
 def run(study, store, points=None, labels=None, **given):
@@ -103,14 +109,6 @@ def test_a_point_of_a_table_has_the_bits_of_the_same_point_in_a_grid(tmp_path):
             assert np.array_equal(table[name].isel(point=row).values, expected, equal_nan=True), name
     on = run(LINK | {"points": {"columns": columns}}, tmp_path / "g.zarr")  # the store of the grid has them all
     assert on.sigma_spin.equals(table.sigma_spin)
-
-
-FILE = """
-def model(x: float = 1.0, k: int = 1):
-    if k == 3:
-        raise ValueError("three")
-    return {"y": x * k}
-"""
 
 
 def test_the_command_line_runs_grows_fails_retries_and_reproduces_points(tmp_path, sweep):

@@ -31,6 +31,17 @@ DIFFERENT = {
     "beside rng": (BESIDE, "draws random numbers"),
 }
 ACCEPTED = "import linksweep\n@linksweep.experiment(deterministic=False)\n"
+SECRET = "hunter2"
+SCRIPT = """
+import linksweep
+def double(x: float = 1.0):
+    return 2.0 * x
+if __name__ == "__main__":
+    linksweep.run(double, axes={"x": [1.0, 2.0]}, store="s.zarr", pool="serial")
+"""
+SCHEMES, HOSTS = ["tcp", "tls", "https", "s3", "WSS"], ["host", "a.b-c:1234", "x"]
+USERS = ["", f"me:{SECRET}@", f"{SECRET}@", f"me:{SECRET}/x@", f"me:@{SECRET}:@"]
+RESTS = ["", f"/?token={SECRET}", f"?X-Amz-Signature={SECRET}&x=1", f"/#{SECRET}", "/a/b"]
 
 
 def test_a_failed_point_is_left_alone_shown_and_on_request_computed_again(tmp_path, sweep):
@@ -59,18 +70,6 @@ def test_a_failed_point_is_left_alone_shown_and_on_request_computed_again(tmp_pa
     code, out, err = sweep(*good, cwd="/")
     assert (code, "every bit" in err, "share" in out) == (0, True, True), err
     assert "no point" in sweep("run", "--retry", store, code=0)[2]
-
-
-def test_a_place_that_is_none_is_refused(coin_store, sweep):
-    for at, message in (
-        ("metal=tin", "--at: coins needs a value, one of 1, 5, 20"),
-        ("metal=tun,coins=1", "--at metal = 'tun': must be one of 'gold', 'tin'; did you mean 'tin'?"),
-        ("metal=tin,coins=6", "--at coins = 6: not on the axis, which has 1, 5, 20"),
-        ("metall=tin,coins=6", "--at metall: is not an axis; did you mean 'metal'?"),
-        ("tin", "'tin': a place is AXIS=VALUE"),
-    ):
-        code, _, err = sweep("reproduce", coin_store, "--at", at)
-        assert (code, message in err, "Traceback" in err) == (2, True, False), err
 
 
 def written(folder, text):
@@ -103,17 +102,6 @@ def test_points_that_do_not_differ_are_counted(tmp_path, sweep, command):
     assert (code, words in err) == (0, True), err
 
 
-SECRET = "hunter2"
-
-SCRIPT = """
-import linksweep
-def double(x: float = 1.0):
-    return 2.0 * x
-if __name__ == "__main__":
-    linksweep.run(double, axes={"x": [1.0, 2.0]}, store="s.zarr", pool="serial")
-"""
-
-
 def everything_in(folder):
     return b"".join(file.read_bytes() for file in folder.rglob("*") if file.is_file() and file.suffix != ".py")
 
@@ -138,11 +126,6 @@ def test_the_options_of_sweep_without_secrets(tmp_path, sweep_here):
     kept = everything_in(tmp_path)
     assert b"sweep run double.py:double --axis x=1,2 --log x.log" in kept
     assert SECRET.encode() not in kept
-
-
-SCHEMES, HOSTS = ["tcp", "tls", "https", "s3", "WSS"], ["host", "a.b-c:1234", "x"]
-USERS = ["", f"me:{SECRET}@", f"{SECRET}@", f"me:{SECRET}/x@", f"me:@{SECRET}:@"]
-RESTS = ["", f"/?token={SECRET}", f"?X-Amz-Signature={SECRET}&x=1", f"/#{SECRET}", "/a/b"]
 
 
 def test_addresses_have_no_secrets():

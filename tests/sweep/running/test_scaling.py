@@ -12,14 +12,6 @@ from benchmarks.measured import watch
 from tests.conftest import COINS
 from tests.sweep.opening import measure_scaling, study_from_dict
 
-WRONG = {"--workers 2,4": "must increase from 1", "--workers 1,2,2": "must increase from 1", "--workers 1,5000": "4096"}
-WRONG |= {"--workers 1,two": "no list of numbers", "--workers -1": "no list of numbers", "--set n_sim=none": "n_sim"}
-WRONG |= {
-    "--set precision=0.1": "decides itself",
-    "--repetitions 0": "repetitions",
-    "--figure s.txt": "the name must end",
-}
-
 
 def test_speed_up_and_efficiency_are_those_of_the_seconds(coins, monkeypatch):
     asked = []
@@ -60,12 +52,6 @@ def test_the_command_leaves_the_measurements_and_nothing_else(tmp_path, sweep, m
     assert sorted(p.name for p in tmp_path.iterdir()) == ["results", "s.png", "scratch"]
     assert not list((tmp_path / "scratch").glob("linksweep*"))
     assert "exists already" in sweep("scaling", *arguments, cwd=tmp_path, code=2)[2]
-
-
-@pytest.mark.parametrize(("arguments", "words"), WRONG.items())
-def test_bad_input_is_refused_and_writes_nothing(arguments, words, tmp_path, sweep_here):
-    status, _, err = sweep_here("scaling", "sqrt-n", *arguments.split(), cwd=tmp_path)
-    assert (status, words in err, list(tmp_path.iterdir())) == (2, True, []), err
 
 
 def memory_of(tmp_path, points, *command):

@@ -25,6 +25,26 @@ from tests.tiers import PATIENCE_S, slow
 
 MANY = ("x > 0.0 and y", ("--axis", "y=0,1", "--max-failures", "2"), 1)
 THREADS, LIMITS = ("--pool", "threads", "--workers", "2"), ("--pool", "serial", "--time-limit", "100")
+MODELS = """
+import numpy as np
+def many(x):
+    day = np.datetime64("2020-01-01") + int(1 / (x != 3) * x)
+    return {"f": x * 1.5e-6, "whole": int(x), "truth": x > 1, "day": day, "text": f"q{x}", "array": np.arange(3) * x}
+def noisy(x, rng=None):
+    return rng.normal(x)
+"""
+CODE = """
+def f(x: float, y: int = 0, rng=None):
+    if {fails}:
+        raise ValueError(f"no root at {{x}}")
+    return rng.normal(x)
+"""
+FUNCTIONS = """
+def never(x: int):
+    raise ImportError(f"no package for {x}")
+def random_never(x: int, rng):
+    raise ImportError(f"no package for {x}")
+"""
 
 
 def test_points_that_nobody_asked_for_and_failures_that_left_a_store_are_told(sweep, tmp_path):
@@ -80,16 +100,6 @@ def test_a_finished_run_writes_what_is_not_as_it_would_write_it_once(tmp_path, c
         assert str(store) in (store / "zarr.json").read_text()
 
 
-MODELS = """
-import numpy as np
-def many(x):
-    day = np.datetime64("2020-01-01") + int(1 / (x != 3) * x)
-    return {"f": x * 1.5e-6, "whole": int(x), "truth": x > 1, "day": day, "text": f"q{x}", "array": np.arange(3) * x}
-def noisy(x, rng=None):
-    return rng.normal(x)
-"""
-
-
 @pytest.mark.parametrize("asked", ["many --axis x=0:3", "many --axis x=2", "noisy --axis x=0:2 --set n_sim=5"])
 def test_a_run_prints_what_the_dataset_in_its_store_says(tmp_path, sweep, asked):
     (tmp_path / "models.py").write_text(MODELS)
@@ -100,14 +110,6 @@ def test_a_run_prints_what_the_dataset_in_its_store_says(tmp_path, sweep, asked)
     assert sweep(*command, "--json", cwd=tmp_path)[1] == sweep("show", "s.zarr", "--json", cwd=tmp_path)[1]
     table = sweep("show", "s.zarr", cwd=tmp_path)[1].partition("\n\n")[0]
     assert " ".join(table.split()) in printed
-
-
-CODE = """
-def f(x: float, y: int = 0, rng=None):
-    if {fails}:
-        raise ValueError(f"no root at {{x}}")
-    return rng.normal(x)
-"""
 
 
 @pytest.fixture
@@ -182,14 +184,6 @@ def test_counts_of_events_are_those_of_the_store(run_f, tmp_path, fails, options
     assert (again["done"], again["failed"]) == (points["done"], points["failed"])
     code, events = run_with_events("--set", "seed=9")
     assert (code, "different study" in events[-1]["reason"]) == (2, True)
-
-
-FUNCTIONS = """
-def never(x: int):
-    raise ImportError(f"no package for {x}")
-def random_never(x: int, rng):
-    raise ImportError(f"no package for {x}")
-"""
 
 
 @pytest.fixture
@@ -299,8 +293,6 @@ def f(x: int):
     time.sleep(0.001)
     return float(x)
 """
-
-
 FIRST_CALL = "called = []", "called or called.append(time.sleep(1.0))"
 
 

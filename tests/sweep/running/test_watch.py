@@ -38,6 +38,14 @@ KINDS = {  # from a random generator and the place in the grid: cost and seconds
         cost * chance.lognormvariate(0.0, 0.3),
     ),
 }
+SLOW = """
+import time
+def f(x: float):
+    time.sleep(0.05)
+    if x == 7.0:
+        raise ValueError("\\x1b[31m[bold]no root[/bold]")
+    return x
+"""
 
 
 def g(a=0, b=0, c=0, d=0):
@@ -149,16 +157,6 @@ def test_looking_writes_nothing_and_what_is_damaged_or_replaced_meanwhile_is_sai
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "zarr.json").write_text("{}")
     assert sweep_here("watch")[0] == sweep_here("watch", tmp_path / "other")[0] == 2
-
-
-SLOW = """
-import time
-def f(x: float):
-    time.sleep(0.05)
-    if x == 7.0:
-        raise ValueError("\\x1b[31m[bold]no root[/bold]")
-    return x
-"""
 
 
 @pytest.mark.slow

@@ -25,6 +25,13 @@ COMMANDS = (  # without the store, which stands behind the first word
     *("run --retry", "reproduce --at k=1", "find --where y>0 --over k", "fit --over k"),
 )
 ODD, PAGE, MERGED = (os.fsdecode(name) for name in (b"s\xff.zarr", b"r\xff.html", b"m\xff.zarr"))
+HOLD = """
+import sys, time
+from linksweep.sweep.stores.location import locked
+with locked(sys.argv[1]):
+    print("held", flush=True)
+    time.sleep(3600)
+"""
 
 
 def test_only_one_of_many_creates_or_swaps_a_file(place):
@@ -186,14 +193,6 @@ def test_a_link_that_comes_during_a_run_is_not_followed(tmp_path):
 
 
 # One run at a time writes to a store: holders are real processes; test_interrupt.py has two runs.
-
-HOLD = """
-import sys, time
-from linksweep.sweep.stores.location import locked
-with locked(sys.argv[1]):
-    print("held", flush=True)
-    time.sleep(3600)
-"""
 
 
 def put_lock(place, content):

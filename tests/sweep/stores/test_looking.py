@@ -12,7 +12,6 @@ from tests.sweep.opening import forge, places_in, replaced, run, sealed
 
 COINS = (Path(__file__).parents[1] / "coins.py").read_text()
 MARKING = 'from pathlib import Path\nPath({marker!r}).write_text("was here")\n'
-
 COMPUTING = {"merge", "reproduce"}
 """Commands that need the code of a store, and ask."""
 

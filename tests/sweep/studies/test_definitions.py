@@ -11,13 +11,10 @@ from tests.tiers import slow
 
 CURVES = """\
 import numpy as np
-
 def motions(v):
     return 0.02 + 0.01 * np.exp(0.4 * (v - 15.0))
-
 def positions(v):
     return np.full(len(v), 0.05)
-
 number = 3
 """
 STUDY = """\
@@ -64,11 +61,10 @@ def define(table, load):
 
 
 @pytest.fixture
-def here(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "curves.py").write_text(CURVES)
-    edited(tmp_path)
-    return tmp_path
+def here(here):
+    (here / "curves.py").write_text(CURVES)
+    edited(here)
+    return here
 
 
 def edited(here, *changes):

@@ -26,6 +26,14 @@ CELLS += [('beta,k\n2.5,1\n"1,200",1\n', "row 2: beta = '1,200': must be a finit
 CELLS += [("beta;k\n2,5;1\nx;1\n1,5;1\n", "row 2: beta = 'x': must be a finite number > 0 [1/d]")]
 CELLS += [("k\n1\n1_0\n", "row 2: k = '1_0': must be an integer")]
 CELLS += [("k\n1\n99999999999999999999\n", "row 2: k = 99999999999999999999: must be an integer, of 64 bits at most")]
+DERIVED = """
+def rates(row):
+    return {"k": int(10 * row["beta"]), "solver": "b" if row["beta"] > 0.4 else "a"}
+wrong = lambda row: [1]
+fails = lambda row: {"k": 1 / (row["beta"] - 0.2)}
+bad = lambda row: {"k": -0.5}
+again = lambda row: {"beta": 1.0}
+"""
 
 
 @experiment()
@@ -155,16 +163,6 @@ def test_designs_are_spread_over_their_ranges_and_larger_ones_begin_alike_where_
 def test_a_sobol_design_that_is_not_a_power_of_two_is_warned_of(sweep, tmp_path, n):
     code, out, err = sweep("plan", f"{__file__}:f", "--design", f"sobol:{n}", "--range", "beta=1:2", cwd=tmp_path)
     assert (code, f"points.n = {n} is not a power of two" in out + err) == (0, n == 100), err
-
-
-DERIVED = """
-def rates(row):
-    return {"k": int(10 * row["beta"]), "solver": "b" if row["beta"] > 0.4 else "a"}
-wrong = lambda row: [1]
-fails = lambda row: {"k": 1 / (row["beta"] - 0.2)}
-bad = lambda row: {"k": -0.5}
-again = lambda row: {"beta": 1.0}
-"""
 
 
 @pytest.mark.parametrize("kind", ["file", "columns", "nan", "masked"])

@@ -353,19 +353,3 @@ def test_studies_and_forecasts_have_the_errors_of_the_transits(tmp_path):
     np.testing.assert_allclose(found.estimate.values[0, :6], link.estimate.values)
     np.testing.assert_allclose(found.error_formal.values[0, :6], formal)
     np.testing.assert_allclose(found.sigma.values[0, :6], formal, rtol=0.25)
-
-
-@pytest.mark.slow
-def test_a_star_that_accelerates_does_not_bias_the_link(tmp_path):
-    """The five parameters of its row do, by several errors: in one direction, because its acceleration is the same."""
-    models, number, off = ["7", "5", "5", "5", "9", "5"], 200, []
-    for seed in range(number):
-        sky = drawn(seed, models, n_transits=20, ccds=4, bend=0.2)
-        right = linked(tmp_path, sky, epoch=EPOCH, **models_of(tmp_path, sky, models))
-        tables, options = (tmp_path / "gaia.fits", tmp_path / "vlbi.fits"), {"errors": "formal", "accept_misfit": True}
-        links = linksweep.tie(*tables, "orientation,spin", **options), right
-        off.append([((link.estimate - np.array([*EPSILON, *OMEGA]) / MAS) / link.error).values for link in links])
-    wrong, right = np.moveaxis(off, 1, 0)
-    assert np.sqrt(np.mean(wrong**2)) > 5.0
-    assert np.sqrt(np.mean(right**2)) == pytest.approx(1.0, abs=1.5 / np.sqrt(number))
-    assert np.all(np.abs(right.mean(axis=0)) < 4.0 / np.sqrt(number))

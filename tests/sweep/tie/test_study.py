@@ -179,12 +179,9 @@ def test_limits_of_magnitude_leave_sources_out():
 
 def test_what_cannot_be_computed_is_said():
     wrong = {"satellite is required": {"satellite": None}, "there are 62 sources to observe": {"n_new": 63}}
-    wrong |= {
-        "no rows": {"n_new": 0},
-        "do not tell these unknowns apart": {"n_new": 1},
-        "no such column": {"g_max": 12},
-    }
-    wrong |= {"no unknowns 'spin'": {"goal": "spin"}, "no source": {"magnitude": "parallax", "g_min": 1e6}}
+    wrong |= {"no rows": {"n_new": 0}, "do not tell these unknowns apart": {"n_new": 1}}
+    wrong |= {"no such column": {"g_max": 12}, "no unknowns 'spin'": {"goal": "spin"}}
+    wrong |= {"no source": {"magnitude": "parallax", "g_min": 1e6}}
     for words, changes in wrong.items():
         assert words in check(point("pulsar-forecast", n_new=5) | changes)
 

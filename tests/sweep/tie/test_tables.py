@@ -23,6 +23,11 @@ TIMES = [("fits", Time(WHEN.jyear, format="jyear", scale=scale), 0.01) for scale
 FORMS = [*EXACTLY, *((text, 0.01) for text in (*TEXTS, WHEN.datetime64))]
 VIZIER = ("RA", "DE", "Plx", "pmRA", "pmDE")
 POSITIONS = [("RA_ICRS", "DE_ICRS", "tsv"), ("_RA.icrs", "_DE.icrs", "vot"), ("RAJ2000", "DEJ2000", "ecsv")]
+ICRF = """
+ICRF J000211.9-215309  2359-221     00 02 11.98262436  -21 53 09.8359742  0.00115400 0.0386714   0.971  54818.7 548
+ICRF J001031.0+105829  0007+106  D  00 10 31.00590186   10 58 29.5043827  0.00000491 0.0000930  -0.187  53063.9 472
+ICRF J001031.0-001000  x            23 10 31.00590186  -00 10 00.0000000  0.00000491 0.0000930  -0.187  53063.9 472
+"""
 
 
 def test_blank_values_decide_the_kind_and_are_no_zeros(tmp_path):
@@ -44,13 +49,6 @@ def test_blank_values_decide_the_kind_and_are_no_zeros(tmp_path):
     for ending in ("ecsv", "fits"):
         found = read_table(gaia(tmp_path / f"blank.{ending}", made, **blank)).astrometry
         np.testing.assert_array_equal(found.correlations, 0.0)  # as without these columns
-
-
-ICRF = """
-ICRF J000211.9-215309  2359-221     00 02 11.98262436  -21 53 09.8359742  0.00115400 0.0386714   0.971  54818.7 548
-ICRF J001031.0+105829  0007+106  D  00 10 31.00590186   10 58 29.5043827  0.00000491 0.0000930  -0.187  53063.9 472
-ICRF J001031.0-001000  x            23 10 31.00590186  -00 10 00.0000000  0.00000491 0.0000930  -0.187  53063.9 472
-"""
 
 
 def test_errors_of_ra_in_the_icrf_are_seconds_of_time(tmp_path):
