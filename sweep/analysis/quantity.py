@@ -277,12 +277,13 @@ def axis_coordinates(dataset: xr.Dataset, dimensions: Sequence[str]) -> list[str
     return sorted(names, key=lambda name: (place[name], name not in dimensions, name))  # xarray sorts by name
 
 
-def numeric_axes(dataset: xr.Dataset, variable: str) -> list[str]:
+def numeric_axes(dataset: xr.Dataset, variable: str, kinds: str = "if") -> list[str]:
     """Return the numeric coordinates along which a variable has at least two points, longest first: axes of the study,
-    and dimensions of its own.  Points of a table or a design have no order, so that they have no such axis.
+    and dimensions of its own; with the ``kinds`` "ifM" also those of times.  Points of a table or a design have no
+    order, so that they have no such axis.
     """
     dims = [d for d in dataset[variable].dims if d != POINT]
-    names = [str(n) for n, c in dataset.coords.items() if c.ndim == 1 and c.dims[0] in dims and c.dtype.kind in "if"]
+    names = [str(n) for n, c in dataset.coords.items() if c.ndim == 1 and c.dims[0] in dims and c.dtype.kind in kinds]
     # an axis may have no effect somewhere
     sizes = {n: int(dataset[n].notnull().sum()) for n in names if dataset[n].size > 1}
     return sorted(sizes, key=lambda n: (-sizes[n], n not in dims, n))
@@ -307,6 +308,8 @@ def require_axis(dataset: xr.Dataset, variable: str, over: str | None) -> str:
     elif over in varied:
         others = ", ".join(name for name in varied if name != over)
         raise SweepError(f"the points differ in {others} too, so that {over} is no axis of {variable}")
+    if over in numeric_axes(dataset, variable, "M"):
+        raise SweepError(f"{over} has times, and a law or a condition is along numbers, such as days from the first")
     listed_axes = ", ".join(axes) or "none"
     if over is not None and over not in axes:
         raise SweepError(f"{shown(over)} is no axis with several numbers of {variable}; there are {listed_axes}")

@@ -184,8 +184,8 @@ STUDY = arg(shell_complete=_studies)
 AT = many("Only this part of the grid, e.g. model=gaia,v_max=16.", metavar="AXIS=VALUE")
 JSON = flag("Print JSON for a script.", "--json")
 BREAK_LOCK = flag("Continue although another host seems to write to the store; make sure that it does not.")
-ACCEPT_CODE = flag("Continue a store that other code made; each point then records which code made it.")
-TRUST = flag("Run the code that the store names, even if it is inside it or came from elsewhere.")
+ACCEPT_CODE = flag("Take points that other code made; each records which code made it.")
+TRUST = flag("Run code that is inside a store, or that one from elsewhere names.")
 AXES = many(
     "Override or add an axis: 14:20:0.5, 0:1:lin5, 10:1000:log5.", "--axis", metavar="NAME=SPEC", shell_complete=_keys
 )

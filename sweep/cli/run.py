@@ -111,7 +111,7 @@ def _log_file(context: click.Context, _parameter: click.Parameter, value: str | 
 class Watching:
     """How much the user wants to see, and the log file; raises click.UsageError for options that contradict."""
 
-    quiet: bool = flag("Print only errors, and the table.", "--quiet", "-q")
+    quiet: bool = flag("Print no progress.", "--quiet", "-q")
     verbose: bool = flag("Print a line for each point, and Dask's warnings.", "--verbose", "-v")
     log: TextIO | None = opt("Append everything to FILE, with times.", metavar="FILE", callback=_log_file)
     events: TextIO | None = opt("Append events to FILE, for programs: JSON lines.", metavar="FILE", callback=_log_file)

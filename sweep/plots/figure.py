@@ -2,6 +2,7 @@
 for those who cannot see it.
 """
 
+import re
 from collections.abc import Sequence
 from contextlib import suppress
 
@@ -22,13 +23,15 @@ from linksweep.sweep.studies.study import POINT
 # the default for points of a table or design if an axis has at least so many values.
 MAP_POINTS, MAP_PANELS, CURVE_POINTS = 5, 6, 8
 
+_DATE = re.compile(r"\d{4}-\d\d-\d\d([T ][\d:.]+)?")
+
 MOST_PANELS = 6  # that a description names
 MOST_RANGES = 3  # quantities or components whose ranges a caption gives
 
 # What no label of a figure explains.
 UNLABELLED = {
     grid.ERROR_BAND: "Bands join the errors of the points.",
-    grid.PREDICTION_BAND: "Bands are the one-sigma errors of the predictions.",
+    grid.PREDICTION_BAND: "Vertical bars behind dashes are the one-sigma errors of the predictions.",
     grid.LAW_BAND: "Bands are the one-sigma errors of the fitted laws.",
     grid.JOINED: "Thin lines join the points.",
     grid.ALONE: "Markers are points without a neighbour on their line.",
@@ -95,6 +98,7 @@ def _titled(result: Result, kind: str) -> Figure:
 
 
 def _study_figure(dataset: xr.Dataset, kind: str | None, variables: list[str], over: Sequence[str]) -> Figure:
+    dataset = _with_dates(dataset)
     if not (kind or variables or over):
         dataset, kind, variables, over = _as_its_study_says(dataset)
     single = [d for d in dataset["status"].dims if dataset.sizes[d] == 1]
@@ -130,6 +134,15 @@ def _as_its_study_says(dataset: xr.Dataset) -> tuple[xr.Dataset, str | None, lis
     return part, form.kind, [n for n in [form.variable] if n in dataset], [n for n in form.over if n in along]
 
 
+def _with_dates(dataset: xr.Dataset) -> xr.Dataset:
+    """Return a dataset in which texts along a dimension that are all dates or times are times."""
+    for name, texts in dataset.coords.items():
+        if texts.ndim == 1 and texts.size and all(_DATE.fullmatch(str(text)) for text in texts.values):
+            with suppress(ValueError):  # such as the 31st of February
+                dataset = dataset.assign_coords({name: texts.astype("datetime64[ns]")})
+    return dataset
+
+
 def _where_known(dataset: xr.Dataset, variable: str) -> xr.Dataset:
     """Return a dataset without the components at which a quantity has no value anywhere; if the others have one unit,
     that is the unit of all.
@@ -147,7 +160,8 @@ def _suitable(dataset: xr.Dataset, variable: str, over: Sequence[str]) -> str:
     array, numeric = dataset[variable], quantity.numeric_axes(dataset, variable)
     varied = quantity.varied_parameters(dataset)
     if POINT in array.dims and varied and all(name in varied for name in over):
-        return "curves" if not over and any(dataset[name].size >= CURVE_POINTS for name in numeric) else "points"
+        is_long = any(dataset[n].size >= CURVE_POINTS for n in quantity.numeric_axes(dataset, variable, "ifM"))
+        return "curves" if not over and is_long else "points"
     if POINT in array.dims and varied and len(over) == 1:
         return "curves"
     if len(over) == 2:
@@ -220,12 +234,12 @@ def description(figure: Figure, dataset: xr.Dataset) -> str:
     drawn = (" against ".join(filter(None, [_label(axes, "y"), _label(axes, "x")])) or "a picture" for axes in panels)
     titles = formatting.first_of([title for axes in panels if (title := axes.get_title())], MOST_PANELS, "; ")
     parts = [
-        formatting.first_of(list(dict.fromkeys(drawn)), MOST_PANELS, "; "),
+        f"Drawn: {formatting.first_of(list(dict.fromkeys(drawn)), MOST_PANELS, '; ')}",
         ": ".join(filter(None, [f"{len(panels)} panels", titles])) if len(panels) > 1 else "",
-        f"colours: {' and '.join(bars)}" if bars else "",
-        f"legend: {', '.join(signs)}" if len(signs) > 1 else "",
+        f"Colours: {' and '.join(bars)}" if bars else "",
+        f"Legend: {', '.join(signs)}" if len(signs) > 1 else "",
     ]
-    sentences = [f"{text[:1].upper()}{text[1:]}." for text in map(style.plain, filter(None, parts))]
+    sentences = [f"{text}." for text in map(style.plain, filter(None, parts))]
     return " ".join([*sentences, *map(formatting.with_micro_signs, _ranges(figure, dataset))])
 
 

@@ -188,20 +188,14 @@ def _panels(
 
 def one_axis(dataset: xr.Dataset, variable: str, over: Sequence[str]) -> str:
     """Return the axis to draw along: the one asked for, or the longest numeric one, or the longest."""
-    numeric = _ordered_axes(dataset, variable)
+    numeric = quantity.numeric_axes(dataset, variable, "ifM")
     axes = [str(n) for n, c in dataset.coords.items() if c.ndim == 1 and c.dims[0] in _ordered(dataset)] + numeric
-    # names of components only if they are asked for
-    axes += [d for d in quantity.own_dimensions(dataset, variable) if d in dataset.coords] if over else []
+    # names of components only if they are asked for or alone
+    own = [d for d in quantity.own_dimensions(dataset, variable) if d in dataset.coords]
+    axes += own if over or not axes else []
     if over and (len(over) > 1 or over[0] not in axes):
         raise SweepError(f"{', '.join(over)} is not one axis to draw along; there are {', '.join(dict.fromkeys(axes))}")
     return over[0] if over else (numeric or sorted(axes, key=lambda n: -dataset[n].size))[0]
-
-
-def _ordered_axes(dataset: xr.Dataset, variable: str) -> list[str]:
-    """Return the axes of numbers of a variable, and its own of times, longest first."""
-    further = [d for d in quantity.own_dimensions(dataset, variable) if d in dataset.coords]
-    times = [d for d in further if dataset[d].dtype.kind == "M" and dataset[d].size > 1]
-    return sorted([*quantity.numeric_axes(dataset, variable), *times], key=lambda name: -dataset[name].size)
 
 
 def _ordered(dataset: xr.Dataset) -> list[str]:
@@ -293,7 +287,8 @@ def positions(axes: Axes, dataset: xr.Dataset, axis: str, which: str) -> Array:
         return np.asarray(array.values.astype(float))
     if array.dtype.kind == "M":
         scale: Any = axes.xaxis if which == "x" else axes.yaxis
-        scale.update_units(array.values)
+        with style.settings():  # in whose labels dates do not cover each other
+            scale.update_units(array.values)
         return np.asarray(scale.convert_units(array.values))
     values = array.values.tolist()
     names, is_truth = list(dict.fromkeys(values)), formatting.is_truth(array)
@@ -358,7 +353,7 @@ def _draw_series(
         curve, spread = parts["predicted"].values, one.get(f"{variable}_catalogue_error")
         width = float(np.clip(ALL_DASHES / len(x), NARROWEST_DASH, WIDEST_DASH))
         axes.plot(x, curve, color=colour, zorder=2.5, markersize=width, **style.DASH)
-        if spread is not None:
+        if spread is not None and np.isfinite(spread).any():
             half, bar = np.nan_to_num(spread.values), {**style.BAND, "linewidth": 0.6 * width}
             axes.vlines(x, curve - half, curve + half, color=colour, label=PREDICTION_BAND, **bar)
     if "published" in parts:
@@ -424,7 +419,8 @@ def _law_figure(dataset: xr.Dataset, variables: list[str], along: Sequence[str])
         power, power_error, height, height_error, correlation, pivot = (law[name].item() for name in names)
         curve, there = (height * (at / pivot) ** power for at in (fine, x))
         spread, tilt = height_error / height, np.log(fine / pivot) * power_error
-        half = np.sqrt(np.maximum(spread**2 + tilt**2 + 2.0 * correlation * spread * tilt, 0.0)).round(11)
+        square = np.nan_to_num(spread**2 + tilt**2 + 2.0 * correlation * spread * tilt)
+        half = np.sqrt(np.maximum(square, 0.0)).round(11)
         band = {"color": look["color"], **style.BAND}
         known = power_error if power_error > 1e-9 else 0.0  # less is of rounding
         exponent = formatting.with_error(power, known).replace(" ± ", r"\pm")
@@ -432,7 +428,8 @@ def _law_figure(dataset: xr.Dataset, variables: list[str], along: Sequence[str])
         text = f"{words}: {fitted}" if words else style.SIMULATED if error.any() else style.COMPUTED
         upper.errorbar(x, y, yerr=error if error.any() else None, label=text, **look)
         upper.plot(fine, curve, color=look["color"], linewidth=1.0, label="" if words else f"fit {fitted}")
-        upper.fill_between(fine, curve * (1.0 - half), curve * (1.0 + half), label=LAW_BAND, **band)
+        if half.any():
+            upper.fill_between(fine, curve * (1.0 - half), curve * (1.0 + half), label=LAW_BAND, **band)
         lower.fill_between(fine, -100.0 * half, 100.0 * half, **band)
         residual = np.round(100.0 * (y / there - 1.0), 9)  # without what is of rounding
         lower.errorbar(x, residual, yerr=100.0 * error / there, **look)
@@ -550,7 +547,7 @@ def _accuracy_in_words(dataset: xr.Dataset, variable: str) -> str:
     return f"errors (1σ) at most {100.0 * relative:.2g} % of the largest{words}" if np.isfinite(relative) else ""
 
 
-LINES = GridFigure(lambda d, name: bool(_ordered(d) or _ordered_axes(d, name)), _lines_figure)
+LINES = GridFigure(lambda d, name: d[name].dims != (POINT,) or d[name].size == 1, _lines_figure)
 LAW = GridFigure(lambda dataset, variable: bool(quantity.numeric_axes(dataset, variable)), _law_figure)
 MAP = GridFigure(lambda d, variable: len({d[a].dims[0] for a in quantity.numeric_axes(d, variable)}) > 1, _map_figure)
 
@@ -621,7 +618,7 @@ def _draw_curves(axes: Axes, dataset: xr.Dataset, variable: str, over: str) -> N
     """Draw a variable of points along a dimension of its own, one colour for every combination of the others: the
     median and bands of many points, or the curve of each of a few.
     """
-    along, array, x = str(dataset[over].dims[0]), dataset[variable], dataset[over].values.astype(float)
+    along, array, x = str(dataset[over].dims[0]), dataset[variable], positions(axes, dataset, over, "x")
     steps = len(_steps(dataset, variable, POINT, along))
     for number, (words, one) in enumerate(series_of(dataset, variable, POINT, along)):
         y = one[variable].transpose(POINT, along).values.astype(float)
@@ -635,7 +632,6 @@ def _draw_curves(axes: Axes, dataset: xr.Dataset, variable: str, over: str) -> N
             axes.fill_between(x, *np.nanquantile(y, (low, high), axis=0), **band)
         middle = words or f"median of {len(y):,} points"
         axes.plot(x, np.nanmedian(y, axis=0), color=colour, linewidth=1.4, label=middle)
-    style.fit_scale(axes, "x", dataset[over])
     style.fit_scale(axes, "y", array)
     axes.set(xlabel=style.label(dataset[over], over), ylabel=style.quantity_label(dataset, variable))
 
@@ -725,7 +721,9 @@ def _has_points(dataset: xr.Dataset, variable: str) -> bool:
 
 POINTS = GridFigure(_has_points, _points_figure)
 PAIRS = GridFigure(lambda d, name: _has_points(d, name) and len(quantity.varied_parameters(d)) > 1, _pairs_figure)
-CURVES = GridFigure(lambda d, name: _has_points(d, name) and bool(quantity.numeric_axes(d, name)), _curves_figure)
+CURVES = GridFigure(
+    lambda d, name: _has_points(d, name) and bool(quantity.numeric_axes(d, name, "ifM")), _curves_figure
+)
 SCATTER = GridFigure(lambda dataset, variable: sampled(dataset) is not None, _scatter_figure)
 
 

@@ -582,7 +582,7 @@ def _draw_arrows(axes: Any, arrows: Arrows, scale: float, unit: str) -> str:
 
 def epoch_figure(dataset: xr.Dataset) -> Figure:
     """Return the errors of the unknowns against the epoch of one more position of every source."""
-    errors_then = _require(dataset, "error_with_epoch", "give --add with the epochs")
+    errors_then = _require(dataset, "error_with_epoch", "`sweep forecast --add EPOCHS` computes them")
     epochs = dataset["new_epoch"].values
     panels, symbols = _unknowns_by(dataset, "unit"), _symbols(dataset)
     stages = list(zip(dataset["stage"].values, dataset["error"].values, style.LINES[1:], strict=False))
@@ -614,7 +614,7 @@ def ranking_figure(dataset: xr.Dataset) -> Figure:
     wanted = np.flatnonzero(np.isin(dataset["block"].values, goal))
     gain = 1.0 - (values / now if about["criterion"] == "A" else np.exp(0.5 * (values - now) / len(wanted)))
     if not np.any(gain > 0.0):
-        raise SweepError("no ranking here: no new observation, so no source helps; give --add with epochs")
+        raise SweepError("no ranking here: no new observation, so no source helps; see `sweep forecast --add`")
     order = np.argsort(-np.nan_to_num(gain, nan=-1.0))[:RANKED][::-1]
     chosen = [str(name) for name in dataset["step_source"].values[1:]] if "step_source" in dataset else []
     names = [str(name) for name in dataset["source"].values[order]]

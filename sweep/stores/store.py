@@ -434,7 +434,13 @@ def find_root(location: Location) -> dict[str, Any] | None:
                 raise SweepError(f"{ROOT} is damaged ({problem}); {ledgers.REPAIR}", where) from error
             with suppress(ValueError, KeyError, TypeError, RecursionError):
                 # The checksum of another format.
-                _check_format(json.loads(content or b"")["attributes"], where)
+                attributes = json.loads(content or b"")["attributes"]
+                if FORMAT_OF not in attributes:
+                    kind = {"tie": "link"}.get(attributes["result"], attributes["result"])
+                    raise SweepError(
+                        f"is a stored {kind}, without points and a ledger: see `sweep show`", where
+                    ) from error
+                _check_format(attributes, where)
             if location.get(MANIFEST) is not None or any(mark in (content or b"") for mark in MARKS):
                 raise SweepError(
                     f"{ROOT} and its copy in {ledgers.FOLDER} are both damaged, and nothing tells what the numbers "

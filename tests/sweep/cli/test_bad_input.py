@@ -245,7 +245,6 @@ COMMANDS = [
     ("new ../up", "'../up' is no name for a study"),
     ("new fine no.such:thing", "no.such"),
     ("new fine math:tau", "math:tau"),
-    ("plot STORE --at metal=tin,coins=5", "possible are none"),
     ("plot STORE --kind map", "no map of share here; possible are lines, law"),
     ("plot STORE --over length", "length is not one axis to draw along; there are"),
     ("plot STORE -o coins.bmp", "coins.bmp: cannot draw there: the name must end with .png, .svg, .pdf"),
@@ -306,6 +305,12 @@ def test_something_else_where_the_store_should_be(here, case):
     write(here, {f"s.zarr/{name}".rstrip("/"): content.encode() for name, content in files.items()})
     for command in (("run", "study.toml", "-o"), ("plan", "study.toml", "-o"), ("show",), ("status",)):
         check_refused(here, (*command, "s.zarr"), "s.zarr: ", phrase)
+
+
+@pytest.mark.parametrize("command", ["status", "check", "compare"])
+def test_a_link_has_no_ledger(here, command):
+    write(here, {"t.zarr/zarr.json": json.dumps(ROOT | {"attributes": {"result": "tie"}}).encode()})
+    check_refused(here, (command, "t.zarr"), "t.zarr: is a stored link, without points")
 
 
 def test_places_where_no_store_is_or_can_be(here, monkeypatch):

@@ -13,7 +13,7 @@ from matplotlib.text import Text
 import linksweep
 from linksweep import Output, SweepError, experiment
 from linksweep.sweep.analysis import quantity
-from linksweep.sweep.plots import style
+from linksweep.sweep.plots import figure as drawing, style
 from tests.tiers import examples, slow
 
 LARGE = [50.0, 7.0, 90.0, 41.0, 23.0, 77.0, 64.0, 12.0, 34.0, 58.0]
@@ -202,6 +202,32 @@ def test_a_series_over_days_is_a_line_over_days(tmp_path):
         assert np.array_equal(line.get_ydata(), values)
     one = linksweep.plot(ds.isel(day=slice(0, 2)), over=["rate"])
     assert {"2024-01-01", "2024-01-02"} <= set(one.axes[0].get_legend_handles_labels()[1])
+    with pytest.raises(SweepError, match="day has times"):
+        linksweep.find(ds, "height > 0", over="day")
+
+
+@pytest.mark.parametrize("kind", ["axes", "points"])
+def test_an_axis_of_dates_has_their_distances(tmp_path, kind):
+    days = np.array(["2024-01-01", "2024-01-03", "2024-06-01"], dtype="datetime64[D]")
+    ds = linksweep.run(lambda day: float(day > days[0]), tmp_path / "s.zarr", **{kind: {"day": days}}, pool="serial")
+    [axes] = linksweep.plot(ds).axes
+    assert np.diff(axes.lines[0].get_xdata()).tolist() == [2.0, 150.0]
+
+
+@pytest.mark.parametrize("value", [2.5, xr.DataArray([1.0, -2.0, 3.0], {"band": ["U", "B", "V"]})])
+def test_a_study_without_axes_has_a_figure(tmp_path, value):
+    [axes] = linksweep.plot(linksweep.run(lambda: value, tmp_path / "s.zarr", pool="serial")).axes
+    line = axes.lines[0]
+    assert (line.get_xdata() if np.ndim(value) == 0 else line.get_ydata()).tolist() == np.atleast_1d(value).tolist()
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_a_caption_has_the_signs_that_are_drawn_and_symbols_as_they_are(known):
+    ds = results([1.0, 2.0, 3.0]).assign(y_predicted=("x", [1.0, 2.0, 3.0]))
+    ds = ds.assign(y_catalogue_error=("x", np.full(3, 0.1 if known else np.nan)))
+    text = drawing.caption_and_description(linksweep.plot(ds), ds)
+    assert ("errors of the predictions" in text) == known
+    assert "y against x." in text
 
 
 def test_labels_that_are_no_names_say_of_which_axis_they_are(tmp_path):
