@@ -277,8 +277,7 @@ def _with_chosen(whole: setup.Setup, problem: Problem, noise: Noise | None, poin
     if number > n_sources:
         raise SweepError(f"n_new = {number}: there are {n_sources} sources to observe")
     if number:
-        epoch = np.nan if point["new_epoch"] is None else point["new_epoch"]
-        problem = whole.with_new_rows(problem, [epoch], point["new_error"], point["new_positions"] == "single-epoch")
+        problem = whole.with_new_rows(problem, [point["new_epoch"]], point["new_error"], point["new_positions"])
     if noise is not None:
         problem = noise.added_to(problem, whole.jitter)
     if number in (0, n_sources):

@@ -585,7 +585,7 @@ def forecast(satellite: str | Path, reference: str | Path, unknowns: str | None 
 
         def observed(*epochs: float) -> solving.NormalSums:
             """Return the sums of each source with new positions at some epochs."""
-            return solving.source_sums(setup.with_new_rows(future, epochs, plan.error, asked.positions != "mean"))
+            return solving.source_sums(setup.with_new_rows(future, epochs, plan.error, asked.positions))
 
         base = solving.source_sums(future)
         planned = observed(*add) if add else base
@@ -725,11 +725,12 @@ def apply(
     stars = whole.astrometry
     notes = [*_notes(link, stars, inverse, str(path)), *(note for note in whole.notes if "unit" in note)]
     read = Columns(raw, str(path), how.columns, how.units, QUANTITIES)
-    if stars.correlations is not None and not any(map(read.has, CORRELATIONS)):
-        raise SweepError("has no columns like ra_dec_corr for its correlations: write them first", str(path))
+    if files.hipparcos_elements(read) is not None:
+        raise SweepError("has correlations as elements U1 to U15: write columns like ra_dec_corr instead", str(path))
     new = _moved(stars, link, inverse)
     put = _put(read, new, how.pmra_cos_dec, output is not None and output.suffix == ".csv")
-    if lost := [name for name in CORRELATIONS if not read.has(name) and np.any(np.nan_to_num(new.get(name, 0.0)))]:
+    lost = [name for name in CORRELATIONS if not read.has(name) and np.any(np.nan_to_num(new.get(name, 0.0)))]
+    if lost and not files.by_vector(read, stars.further is not None):
         notes.append(f"the table has no {', '.join(lost)}: these correlations, which the link adds, are lost")
     if "satellite_read" not in link.attrs:
         notes.append("the link does not say how its tables were read: units, names of columns, cos(dec) of pmra")
@@ -833,4 +834,4 @@ def _put(read: Columns, new: dict[str, Array], cos_dec: bool | None, is_csv: boo
             read.table[name] = read.table[name].astype(np.float64)
             read.table[name][at] = (values / factor)[at]
     read.finish()
-    return put
+    return [*put, *([files.put_vector(read, new)] if read.has("corr_vec") else [])]

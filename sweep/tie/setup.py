@@ -160,25 +160,24 @@ class Setup:
         """Return the setup of some of the matched sources and their rows."""
         return replace(self, problem=self.problem.only(sources), names=self.names[sources])
 
-    def with_new_rows(self, problem: Problem, epochs: Sequence[float], error: float, apparent: bool) -> Problem:
-        """Return a problem of the sources with a position added to each at each of ``epochs`` (NaN for the source's).
+    def with_new_rows(self, problem: Problem, epochs: Sequence[Any], error: float, positions: str) -> Problem:
+        """Return a problem of the sources with a position added to each at each of ``epochs`` (None for the source's).
 
-        ``error`` (mas) is that of each coordinate; the position is of a single epoch (``apparent``) or a mean one, as
-        those of quasars always are, which hold at any epoch.  As a row of the reference it has the jitter of its kind.
-        It is that of the satellite, and so for forecasts, which do not depend on measured values.
+        ``error`` (mas) is that of each coordinate; ``positions`` are of a single epoch unless "mean", as those of
+        quasars always are, which hold at any epoch.  As rows of the reference they have the jitter of their kind.
+        They are those of the satellite, and so for forecasts, which do not depend on measured values.
         """
         reference, rows = self.tables[SIDES[1]], self.problem.rows
         at_rest = np.isnan(rows.epoch) & (rows.present[0] | (reference.path == ZERO_MOTION))
-        if reference.options.extragalactic or np.any(at_rest):
-            epochs, apparent = [np.nan] * len(epochs), False
-        jitter = self.jitter.get(SIDES[1], {})
-        size = jitter.get("single epoch" if apparent else "position", jitter.get(ALL, ESTIMATE))
-        sigma = MAS * (error if size == ESTIMATE else np.hypot(error, size[0]))
+        quasars = reference.options.extragalactic or np.any(at_rest)
         n, source = len(problem.satellite), np.tile(np.arange(len(problem.satellite)), len(epochs))
         values = np.where(np.arange(5)[:, None] < 2, problem.satellite.values[:, source], np.nan)
-        errors = np.where(np.isfinite(values), sigma, np.nan)
-        new = Astrometry(values, errors, np.repeat(epochs, n), apparent=np.full(len(source), apparent))
-        return replace(problem, rows=core.joined(problem.rows, new), source=np.concatenate([problem.source, source]))
+        errors = np.where(np.isfinite(values), error * MAS, np.nan)
+        at = np.repeat(np.array([None] * len(epochs) if quasars else epochs, dtype=np.float64), n)
+        new = Astrometry(values, errors, at, apparent=np.full(len(source), positions != "mean" and not quasars))
+        jitter = {kind: size for kind, size in self.jitter.get(SIDES[1], {}).items() if kind in (ALL, *kinds(new)[:1])}
+        rows = core.joined(problem.rows, with_jitter(new, jitter))
+        return replace(problem, rows=rows, source=np.concatenate([problem.source, source]))
 
 
 def set_up(satellite: str | Path, reference: str | Path, options: Options, all_sources: bool = False) -> Setup:

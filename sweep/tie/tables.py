@@ -458,27 +458,52 @@ def _averaged(read: Columns, epoch: Array, further: Array, options: TableOptions
     return np.full(len(epoch), core.HALF_SPAN if how == "mean" else 0.0)
 
 
+def _numbers(cell: Any, number: re.Pattern[str]) -> Array:
+    return np.array(number.findall(cell) if isinstance(cell, str) else np.ma.filled(np.ma.ravel(cell), np.nan), float)
+
+
 def _vectors(read: Columns, name: str, size: int, number: re.Pattern[str]) -> Array:
     """Return the numbers (size, N) in a column of arrays, or of texts of such numbers; NaN beyond their end."""
     vectors = np.full((size, len(read)), np.nan)
     for k, cell in enumerate(read.table[name]):
-        numbers: Any = number.findall(cell) if isinstance(cell, str) else np.ma.filled(np.ma.ravel(cell), np.nan)
-        vectors[: len(numbers[:size]), k] = numbers[:size]
+        numbers = _numbers(cell, number)[:size]
+        vectors[: len(numbers), k] = numbers
     return vectors
+
+
+def by_vector(read: Columns, accelerated: bool) -> bool:
+    """Return whether correlations are those of corr_vec; columns for them count first."""
+    return read.has("corr_vec") and not any(map(read.has, [*CORRELATIONS][10 * accelerated :]))
+
+
+def put_vector(read: Columns, new: Mapping[str, Array]) -> str:
+    """Put correlations (N,) by name in the place of those in corr_vec, in its form, and return its column."""
+    name = str(read.name("corr_vec"))
+    column, vectors = read.table[name], _vectors(read, name, len(CORRELATIONS), _ELEMENT)
+    for key, (i, j) in zip(CORRELATIONS, core.ALL_PAIRS, strict=False):
+        row, values = vectors[j * (j - 1) // 2 + i], new.get(key, np.nan)
+        np.copyto(row, values, where=np.isfinite(row) & np.isfinite(values))
+    cells = column.astype(np.float64 if np.ndim(column) > 1 else object)
+    for k in np.flatnonzero(np.isfinite(vectors).any(axis=0)):
+        numbers = _numbers(column[k], _ELEMENT)
+        numbers[: len(vectors)] = vectors[: len(numbers), k]
+        cells[k] = str(numbers.tolist()) if isinstance(column[k], str) else numbers
+    read.table[name] = cells.astype(str) if column.dtype.kind in "SU" else cells
+    return name
 
 
 def _correlations(read: Columns, present: Flags) -> Array | None:
     """Return the correlations (10 or 36, N), 0 unless both parameters are ``present`` (5 or 9, N); None if there are
     none.
     """
-    if _is_hipparcos(read) and (elements := _hipparcos_elements(read)) is not None:
+    if (elements := hipparcos_elements(read)) is not None:
         return hipparcos_correlations(elements)
     pairs = core.ALL_PAIRS[: len(core.PAIRS) if len(present) == 5 else len(CORRELATIONS)]
     names = [read.name(name) for name in CORRELATIONS][: len(pairs)]
     if not any(names) and not read.has("corr_vec"):
         return None
     correlations = np.array([np.zeros(len(read)) if name is None else read.numbers(name) for name in names])
-    if from_vector := read.has("corr_vec") and not any(names[10:] or names):
+    if from_vector := by_vector(read, len(pairs) > 10):
         names, correlations = ["corr_vec"] * len(pairs), _vectors(read, str(read.name("corr_vec")), 36, _ELEMENT)
         correlations = correlations[[j * (j - 1) // 2 + i for i, j in pairs]]  # upper triangles, by columns
     elif len(pairs) > 10 and not any(names[10:]):
@@ -569,12 +594,12 @@ def _is_hipparcos(read: Columns) -> bool:
     return any(name.casefold() == "rarad" for name in read.names)
 
 
-def _hipparcos_elements(read: Columns) -> Array | None:
+def hipparcos_elements(read: Columns) -> Array | None:
     """Return U1..U15 of Hipparcos-2 from fifteen columns, one column of arrays or one of text; None without them."""
-    for stem in ("UW", "U"):
+    for stem in ("UW", "U") if _is_hipparcos(read) else ():
         if all(f"{stem}{k}" in read.names for k in range(1, 16)):
             return np.array([read.numbers(f"{stem}{k}") for k in range(1, 16)])
-    if "UW" not in read.names:
+    if "UW" not in read.names or not _is_hipparcos(read):
         return None
     elements = _vectors(read, "UW", 15, _ELEMENT_OF_HIPPARCOS)
     read.check(np.isnan(elements[-1]), "no fifteen numbers in column 'UW'")

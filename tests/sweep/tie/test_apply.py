@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, given, settings, strategies as st
 import linksweep
 from linksweep import SweepError
 from linksweep.sweep.tie.tables import read_table
-from tests.core.tie.made import DEGREE, MAS, NAMES, gaia, gaia_table, main, noise, seen_by_satellite, stars
+from tests.core.tie.made import DEGREE, MAS, NAMES, PAIRS, gaia, gaia_table, main, noise, seen_by_satellite, stars
 from tests.sweep.tie.test_accelerations import drawn, satellite_table
 from tests.tiers import slow
 
@@ -92,17 +92,28 @@ def test_the_covariance_of_the_link_is_added(tmp_path):
     np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-6)
 
 
-def test_only_covariances_of_what_is_turned_change_in_rows_with_accelerations(tmp_path):
-    truth, accelerations, covariance, sizes = drawn(12, 3)
-    table = satellite_table(tmp_path / "own.ecsv", truth, accelerations, covariance, sizes)
-    reference = gaia(tmp_path / "reference.ecsv", truth)
-    link = linksweep.tie(table, reference, "orientation,spin", errors="formal")
-    linksweep.apply(link, table, tmp_path / "moved.ecsv")
-    before, after = (read_table(path).astrometry.covariance() for path in (table, tmp_path / "moved.ecsv"))
+@pytest.mark.parametrize("both", [False, True])
+@pytest.mark.parametrize(("form", "ending"), [("named", "ecsv"), ("padded", "fits"), ("text", "csv")])
+def test_only_covariances_of_what_is_turned_change_in_rows_with_accelerations(tmp_path, form, ending, both):
+    """Of columns, of corr_vec, and of both, of which one is not read."""
+    truth, *made = drawn(12, 3)
+    further = ["corr_vec"] if form == "named" else [f"{NAMES[i]}_{NAMES[j]}_corr" for i, j in PAIRS]
+    other = satellite_table(tmp_path / "other.ecsv", truth, *made, "padded" if form == "named" else "named")
+    table, moved = (tmp_path / f"{name}.{ending}" for name in ("own", "moved"))
+    satellite_table(table, truth, *made, form, **(dict(Table.read(other)[further].items()) if both else {}))
+    link = linksweep.tie(table, gaia(tmp_path / "reference.ecsv", truth), "orientation,spin", errors="formal")
+    linksweep.apply(link, table, moved)
+    before, after = (read_table(path).astrometry.covariance() for path in (table, moved))
     change = np.round((after - before) / MAS**2, 12)
     assert np.all(change[:, [0, 1, 3, 4], [0, 1, 3, 4]] > 0.0)
     change[:, :5, :5] = 0.0
     assert not np.any(change)
+    if both:
+        table = Table.read(moved)
+        table.remove_columns([name for name in table.colnames if "corr" in name and name not in further])
+        table.write(moved, overwrite=True)
+        found = read_table(moved).astrometry.covariance()[:, :5, :5]
+        np.testing.assert_allclose(found, after[:, :5, :5], rtol=1e-9, atol=1e-12 * after.max())
 
 
 @pytest.mark.parametrize("has", [("ra_dec_corr",), ()])
