@@ -9,7 +9,7 @@ import re
 import sys
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from enum import Enum
@@ -27,7 +27,7 @@ from linksweep.sweep.contract.experiment import LABEL, factor_between, is_quanti
 from linksweep.sweep.formatting import first_of
 from linksweep.sweep.studies.study import POINT, Form, PointsForm, PointTable, Sampling, number_at
 from linksweep.sweep.tables.columns import rows_listed, table_file
-from linksweep.sweep.tables.reader import read_table
+from linksweep.sweep.tables.reader import BRACKETS, read_table
 
 MAX_VALUES = 1_000_000
 """The most values of an axis, and the most rows of a table of points."""
@@ -477,8 +477,10 @@ def _written(form: PointsForm, values: Values, fixed: Mapping[str, Any], code: C
         elif form.file is not None:
             (columns, units), origin = _in_file(form, values), {"file": Path(form.file).name}
         if form.design is None:
+            columns, units = _plainly_named(columns, units, {*values.experiment.defaults(), *form.labels})
             columns, labels = _apart(columns, form, values)
-            units = {name: unit for name, unit in (units | form.units).items() if name not in labels}
+            ours = {*columns, *form.units}.difference(labels)
+            units = {name: unit for name, unit in (units | form.units).items() if name in ours}
             columns = _in_units(columns, units, values, ("points", form.source))
     with problems.at(("points",)):
         lengths = {name: len(column) for name, column in {**columns, **labels}.items()}
@@ -494,6 +496,18 @@ def _written(form: PointsForm, values: Values, fixed: Mapping[str, Any], code: C
             origin["derive"] = form.derive
     columns = columns if len(problems.sentences) == before else {}
     return columns, PointTable(tuple(columns), origin, labels)
+
+
+def _plainly_named(columns: Cells, units: dict[str, str], known: Collection[str]) -> tuple[Cells, dict[str, str]]:
+    """Return columns and units by names that are known, behind which a column's own may have a unit: ``x [cm]``."""
+    plain: dict[str, list[Any]] = {}
+    for name, cells in columns.items():
+        match = BRACKETS.fullmatch(name)
+        if match and match[1] in {*known}.difference(columns, plain):
+            plain[match[1]], units = cells, {**units, match[1]: match[2]}
+        else:
+            plain[name] = cells
+    return plain, units
 
 
 def _apart(columns: Cells, form: PointsForm, values: Values) -> tuple[Cells, dict[str, list[Any]]]:
@@ -534,13 +548,13 @@ def _in_file(form: PointsForm, values: Values) -> tuple[Cells, dict[str, str]]:
     path = values.folder / str(form.file)
     table = read_table(path)
     columns, units = columns_of({name: table[name] for name in table.colnames})
-    kinds = {parameter.name: parameter.kind for parameter in values.experiment.parameters}
-    columns = {name: _read_cells(cells, kinds.get(name, "any")) for name, cells in columns.items()}
-    kinds |= dict.fromkeys(columns.keys() - kinds.keys(), "any")  # labels
+    known = {parameter.name: parameter.kind for parameter in values.experiment.parameters}
+    kinds = {name: known.get(name, known.get(BRACKETS.sub(r"\1", name), "any")) for name in columns}  # any: labels
+    columns = {name: _read_cells(cells, kinds[name]) for name, cells in columns.items()}
     doubtful = [
         name
         for name, kind in kinds.items()
-        if kind in ("any", "str") and not all(isinstance(cell, str | None) for cell in columns.get(name, ()))
+        if kind in ("any", "str") and not all(isinstance(cell, str | None) for cell in columns[name])
     ]
     written, _ = columns_of(read_table(path, texts=doubtful)) if doubtful else ({}, {})
     for name in doubtful:  # 0071 is a name, and not the number 71

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.sweep.contract import Array, Named, SweepError, suggest
-from linksweep.sweep.tables.reader import MISSING, read_table, readme_of
+from linksweep.sweep.tables.reader import BRACKETS, MISSING, read_table, readme_of
 
 Flags = NDArray[np.bool_]
 
@@ -82,7 +82,6 @@ SAME_EPOCH = 0.01
 SEXAGESIMAL = {"deg": False, "d:m:s": False, "hourangle": True, "h": True, "h:m:s": True}
 
 _SIDES = ("reference_", "satellite_")
-_BRACKETS = re.compile(r"\s*[\[(][^\])]*[\])]$")
 _NAMED_TIME = re.compile(
     r"^_?ra(h|hr|hrs|hours?|m|s)$|^_?(ra|alpha)\w*[\W_](h|hr|hrs|hours?|hms|m|min|s|sec)\W*$", re.I
 )
@@ -97,7 +96,7 @@ def first_found(wanted: Iterable[str], names: Collection[str]) -> str | None:
     """Return the column of the first wanted name that is found, ignoring case and a unit in brackets behind it if need
     be; None if there is none.
     """
-    plain = {_BRACKETS.sub("", name).casefold(): name for name in reversed(list(names))}
+    plain = {BRACKETS.sub(r"\1", name).casefold(): name for name in reversed(list(names))}
     in_any_case = plain | {name.casefold(): name for name in reversed(list(names))}
     columns = (name if name in names else in_any_case.get(name.casefold()) for name in wanted)
     return next((name for name in columns if name is not None), None)

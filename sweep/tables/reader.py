@@ -60,7 +60,8 @@ _CLOCK = re.compile(r'"?[hd]:m:s"?')  # VizieR's unit of text like 12 34 56.7
 _MEANINGS = re.compile(r"^#Column\t(\S+)\t\S+\t([^\t\n]*)", re.MULTILINE)
 # How tables spell units out; dates are numbers of days.
 _WORDS = {"degrees": "deg", "hours": "h", "radians": "rad", "MJD": "d", "years": "yr", "hms": "h:m:s", "dms": "d:m:s"}
-_BRACKETS = re.compile(r".*[\[(]([^\])]+)[\])]")
+# A name and the unit behind it.
+BRACKETS = re.compile(r"(.*?)\s*[\[(]([^\])]*)[\])]$")
 
 
 def read_table(path: Path, texts: Collection[str] = ()) -> Any:
@@ -376,8 +377,8 @@ def _are_units(fields: Sequence[str], lines: Sequence[str], delimiter: str) -> b
 
 def _bracketed(name: str) -> str:
     """Return the unit in a name like 'ra [deg]', '' if there is none."""
-    match = _BRACKETS.fullmatch(name)
-    return match[1] if match and _unit(match[1], "raise") is not None else ""
+    match = BRACKETS.fullmatch(name)
+    return match[2] if match and _unit(match[2], "raise") is not None else ""
 
 
 def _unit(text: str, strict: str = "silent") -> Any:

@@ -165,15 +165,15 @@ def test_a_sobol_design_that_is_not_a_power_of_two_is_warned_of(sweep, tmp_path,
     assert (code, f"points.n = {n} is not a power of two" in out + err) == (0, n == 100), err
 
 
-@pytest.mark.parametrize("kind", ["file", "columns", "nan", "masked"])
+@pytest.mark.parametrize("kind", ["row", "name", "columns", "nan", "masked"])
 def test_a_column_in_another_unit_has_gaps_and_the_numbers_of_the_parameter(kind, tmp_path, read):
-    (tmp_path / "t.csv").write_text("distance,n\ncm,\n1.1,1\n,2\n29,3\n")
+    names = "distance [cm],n\n" if kind == "name" else "distance,n\ncm,\n"
+    (tmp_path / "t.csv").write_text(f"{names}1.1,1\n,2\n29,3\n")
     held = {
-        "file": tmp_path / "t.csv",
         "columns": {"columns": {"distance": [1.1, None, 29], "n": [1, 2, 3]}, "units": {"distance": "cm"}},
         "nan": QTable({"distance": [1.1, np.nan, 29.0] * u.cm, "n": [1, 2, 3]}),
         "masked": Table({"distance": MaskedColumn([1.1, 2, 29], mask=[0, 1, 0], unit="cm"), "n": [1, 2, 3]}),
-    }[kind]
+    }.get(kind, tmp_path / "t.csv")
     assert read(held, perhaps_far)["distance"] == ["0.011", "None", "0.29"]
 
 
