@@ -116,9 +116,8 @@ def standard_error(dataset: xr.Dataset, variable: str) -> xr.DataArray | None:
         value, is_drawn = dataset[variable], {FUNCTION, "seed"} <= dataset.attrs.keys()
         return value.copy(data=np.full(value.shape, np.nan)) if is_drawn else None
     values = np.array([part.transpose(*parts[0].dims).values for part in parts])
-    known = is_known(values)
-    squares = np.sum(np.where(known, values, 0.0) ** 2, axis=0)
-    return parts[0].copy(data=np.where(known.any(axis=0), np.sqrt(squares), np.nan))
+    total = np.sqrt(np.nansum(values**2, axis=0))
+    return parts[0].copy(data=np.where(is_known(values).any(axis=0), total, np.nan))
 
 
 def errors_beside(dataset: xr.Dataset, variable: str) -> list[str]:

@@ -58,7 +58,7 @@ class _Method(NamedTuple):
     parameters: list[str]
     over: list[str]
     indices: Sequence[str]
-    estimate: Callable[[Array, Array | None], Sequence[Array]]
+    estimate: Callable[[Array, Array], Sequence[Array]]
     notes: list[str]
 
 
@@ -104,9 +104,9 @@ def sensitivity(dataset: xr.Dataset, output: str | None = None, seed: int = 0) -
     if not np.isfinite(values).all():
         raise SweepError(f"{output} is not a finite number at {int(np.sum(~np.isfinite(values)))} points")
     error = quantity.standard_error(dataset, output)
-    errors = None if error is None else error.transpose(*others, *method.over).values
+    errors = np.zeros(values.shape) if error is None else error.transpose(*others, *method.over).values
     places = list(np.ndindex(*values.shape[: len(others)]))
-    made = [method.estimate(values[i], None if errors is None else errors[i]) for i in places]
+    made = [method.estimate(values[i], errors[i]) for i in places]
     points = int(np.prod([dataset.sizes[d] for d in method.over]))
     notes = [f"sensitivity of {output} by {method.name}, from {points:,} points", *method.notes]
     if any((np.isnan(sigma) & np.isfinite(index)).any() for index, sigma, *_ in made):
@@ -167,17 +167,17 @@ def _of_grid(dataset: xr.Dataset, seed: int) -> _Method:
     continuous = [len(joint[d]) == 1 and d in dataset.coords and dataset[d].dtype.kind == "f" for d in over]
     shared = any(quantity.shares_random_numbers(dataset, [d]) for d in over)
 
-    def estimate(values: Array, errors: Array | None) -> Sequence[Array]:
-        if not shared and (errors is None or np.isfinite(errors).all()):
+    def estimate(values: Array, errors: Array) -> Sequence[Array]:
+        if not shared and np.isfinite(errors).all():
             return indices_of_grid(values, errors, continuous, seed)
         first, _, total, _ = indices_of_grid(values, None, continuous, seed)
-        return first, (unknown := np.full(len(over), np.nan)), total, unknown
+        unknown = np.full(len(over), np.nan)
+        return first, unknown, total, unknown
 
     notes = ["every value of an axis counts the same: real numbers are midpoints of equal cells"]
     notes += [f"{n}: zipped axes advance together, and have one index" for n in parameters if "+" in n]
     coarse = [n for n, c, d in zip(parameters, continuous, over, strict=True) if c and dataset.sizes[d] < COARSE]
-    if coarse:
-        names = ", ".join(coarse)
+    if names := ", ".join(coarse):
         notes.append(f"{names} with fewer than {COARSE} values: what happens between them is not in the errors")
     return _Method("analysis of variance of the grid", parameters, over, INDICES, estimate, notes)
 

@@ -133,9 +133,7 @@ def _columns_of(dataset: xr.Dataset, columns: dict[str, Column], name: str, rows
         yield replace(main, cells=list(map(_span, main.values)))
         return
     error = quantity.standard_error(dataset, name)
-    errors = [0.0] * len(rows)
-    if error is not None:
-        errors = quantity.listed(dataset, error, quantity.axes_of(dataset), rows)
+    errors = [0.0] * len(rows) if error is None else quantity.listed(dataset, error, quantity.axes_of(dataset), rows)
 
     def beside(heading: str, values: Sequence[Any], rank: int, to: Sequence[float]) -> Column:
         return Column(heading, values, list(map(formatting.rounded, values, to)), main.unit, rank=rank)
