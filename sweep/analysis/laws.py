@@ -283,7 +283,7 @@ def fit_power_law(
         expected: the expected exponent; by default that of a claim of the study.
         covariance: the covariance of the variable's points, with dimensions (..., over, over_other); that of the
             dataset by default.  Without it the errors of points that share random numbers are NaN; other points are
-            weighted by their Monte-Carlo errors.
+            weighted by their Monte-Carlo errors, and left out where these are not known.
 
     Returns:
         A dataset over the other axes with the variables ``exponent`` and ``amplitude`` with ``_error``, their
