@@ -257,12 +257,14 @@ def test_what_cannot_be_carried_is_refused_by_name(here):
     assert CliRunner().invoke(main, ["tie", *both, "-o", "tie.zarr"]).exit_code == 0
     gaia(here / "dr4.ecsv", stars(10, 1, epoch=2017.5))
     Table({"a": [1]}).write("other.ecsv")
+    gaia("hip.ecsv", stars(10, 1), RArad=np.ones(10), UW=["1.00" * 15] * 10)
     before = sorted(path.name for path in here.iterdir())
     for arguments, said in (
         (("tie.zarr", "dr4.ecsv", "-o", "o.fits"), "epoch 2017.5 in row 1"),
         (("satellite.ecsv", "satellite.ecsv", "-o", "o.fits"), "is no link of two tables"),
         (("tie.zarr", "satellite.ecsv", "-o", "dr4.ecsv"), "exists already"),
         (("tie.zarr", "other.ecsv", "-o", "o.fits"), "'ra'"),
+        (("tie.zarr", "hip.ecsv", "-o", "o.fits"), "elements U1 to U15"),
     ):
         run = CliRunner().invoke(main, ["apply", *arguments])
         assert (run.exit_code, said in " ".join(run.output.split())) == (2, True), run.output
