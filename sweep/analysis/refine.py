@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from linksweep.sweep.analysis import laws, quantity
 from linksweep.sweep.contract import Status, SweepError, Value, suggest
 from linksweep.sweep.formatting import counted
-from linksweep.sweep.planning.grid import Grid, make_grid
+from linksweep.sweep.planning.grid import NO_EFFECT, Grid, make_grid
 from linksweep.sweep.planning.union import REFINED, Round, point_at, refined, rounds_of
 from linksweep.sweep.running.run import find_store, open_store
 from linksweep.sweep.stores.location import Where, locked
@@ -228,7 +228,8 @@ def _realisations(now: Study, over: str, factors: Sequence[tuple[laws.Line, int,
 def _place(grid: Grid, line: laws.Line, over: str) -> dict[str, Value]:
     """Return the values of a line on the other axes."""
     rows = ((axes, grid.rows[name][line.index[name]]) for name, axes in grid.dimensions.items() if name != over)
-    return {axis: value for axes, row in rows for axis, value in zip(axes, row, strict=True)}
+    pairs = (pair for axes, row in rows for pair in zip(axes, row, strict=True))
+    return {axis: None if value is NO_EFFECT else value for axis, value in pairs}
 
 
 def _middle(values: Sequence[Any], low: float, high: float) -> float:

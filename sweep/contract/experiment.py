@@ -328,9 +328,8 @@ class Parameter:
 
     def parse(self, raw: object) -> Value:
         """Return ``raw`` as a value of this parameter; raises ValueError with a sentence that says what is allowed."""
-        if (self.optional or self.when) and (
-            raw is None or (raw == "None" and self.kind in ("float", "int", "bool", "str"))
-        ):
+        may_be_text = self.kind == "any" and (self.default is not None or self.required)
+        if (self.optional or self.when) and (raw is None or (raw == "None" and not may_be_text)):
             return None
         value: Any = self._object(raw) if self.takes_objects else raw
         if not isinstance(value, Named):

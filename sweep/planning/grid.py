@@ -24,6 +24,9 @@ MAX_POINTS = 10_000_000
 # The most reasons, repeated points and different warnings that are listed.
 MAX_PROBLEMS = 20
 
+# In place of a value: the place along an axis of its own of points at which it has no effect.  None is a value.
+NO_EFFECT: Value = object()
+
 # The most answers that are kept of a function of a point.
 MAX_KEPT = 100_000
 
@@ -52,12 +55,13 @@ class Grid:
     def __init__(self, study: Study, warnings: Sequence[str] = ()) -> None:
         """Take the axes of a study; nothing is asked."""
         self.study, self.warnings, self.dimensions = study, list(warnings), study.dimensions
-        self.shape = tuple(len(study.axes[axes[0]]) for axes in self.dimensions.values())
+        self._lacking = study.lacking
         self.rows: dict[str, list[tuple[Value, ...]]] = {
-            name: list(zip(*(study.axes[axis] for axis in axes), strict=True)) for name, axes in self.dimensions.items()
+            name: [*zip(*(study.axes[axis] for axis in axes), strict=True), *[(NO_EFFECT,)] * (name in self._lacking)]
+            for name, axes in self.dimensions.items()
         }
+        self.shape = tuple(map(len, self.rows.values()))
         self._fixed = study.experiment.defaults() | dict(study.fixed)
-        self._alone = [name for name in study.alone if name in study.when]  # which may be missing there
         self._names = [axis for axes in self.dimensions.values() for axis in axes]
         # parameters that do not change a point's random numbers
         self._shared = frozenset(study.experiment.shared if study.sampling.common_random_numbers else ())
@@ -73,17 +77,17 @@ class Grid:
         """For each point the index of the first that is the same; None where none repeats.  Rows of a table may, and
         those that differ only in parameters without effect.
         """
-        rows, together = self.rows.get(POINT, ()), {*self._names} - {*self._alone}
-        if together.isdisjoint(self.study.when) and len({(row, *map(type, row)) for row in rows}) == len(rows):
+        rows, together = self.rows.get(POINT, ()), {*self._names} - {*self._lacking}
+        if together.isdisjoint(self.study.partial) and len({(row, *map(type, row)) for row in rows}) == len(rows):
             return None
         first: dict[bytes, int] = {}
         points = enumerate(zip(self._raw(everything := np.arange(len(self))), self.digests(everything), strict=True))
-        places = [k if self._is_misplaced(*raw) else first.setdefault(digest, k) for k, (raw, digest) in points]
+        places = [first.setdefault(digest, k) if is_there else k for k, ((*_, is_there), digest) in points]
         return np.array(places) if len(first) < len(places) else None
 
     def without(self, name: str) -> NDArray[np.bool_]:
         """Return at which places along its dimension all points are without a parameter."""
-        gone = [name in missing for _, missing in self._raw(np.arange(len(self)))]
+        gone = [name in missing for _, missing, _ in self._raw(np.arange(len(self)))]
         others = tuple(k for k, axes in enumerate(self.dimensions.values()) if name not in axes)
         return np.asarray(np.array(gone).reshape(self.shape).all(axis=others))
 
@@ -96,17 +100,16 @@ class Grid:
 
     def parameters(self) -> Iterator[tuple[int, dict[str, Any]]]:
         """Yield index and parameters of the points that are not excluded, in C order; repeated ones only once."""
-        first, has_excluded = self._first, bool(self.study.excluded or self._alone)
+        first = self._first
         for start in range(0, len(self), AT_ONCE):
             some = np.arange(start, min(start + AT_ONCE, len(self)))
-            for index, (raw, gone) in zip(some.tolist(), self._raw(some), strict=True):
-                is_first = first is None or first[index] == index
-                if is_first and index not in self._left_out and not (has_excluded and self._excludes(raw, gone)):
-                    yield index, _resolved(raw, gone)
+            for index, (parameters, _, is_there) in zip(some.tolist(), self._raw(some), strict=True):
+                if is_there and (first is None or first[index] == index) and index not in self._left_out:
+                    yield index, parameters
 
     def indices(self) -> NDArray[np.intp]:
         """Return the indices of the points that `parameters` yields."""
-        if self._first is None and not (self.study.excluded or self.study.when or self._left_out):
+        if self._first is None and not (self.study.excluded or self._lacking or self._left_out):
             return np.arange(len(self))
         return np.fromiter((index for index, _ in self.parameters()), dtype=np.intp)
 
@@ -136,21 +139,28 @@ class Grid:
             some = indices[start : start + AT_ONCE]
             digests = self.digests(some)
             streams = self._digests(some, self._shared) if self._shared else digests
-            for index, raw, digest, stream in zip(some.tolist(), self._raw(some), digests, streams, strict=True):
-                yield GridPoint(index, _resolved(*raw), digest, stream)
+            for index, (parameters, *_), digest, stream in zip(
+                some.tolist(), self._raw(some), digests, streams, strict=True
+            ):
+                yield GridPoint(index, parameters, digest, stream)
 
-    def _raw(self, indices: NDArray[np.intp]) -> Iterator[tuple[dict[str, Any], list[str]]]:
-        """Yield the values that the axes and constants of points have, and the names of those without effect."""
+    def _raw(self, indices: NDArray[np.intp]) -> Iterator[tuple[dict[str, Any], list[str], bool]]:
+        """Yield the parameters of points, None for those without effect, the names of these, and whether the study has
+        the point: neither excludes it nor has it at another place along an axis without effect.
+        """
         places = zip(self.rows.values(), self._places(indices), strict=True)
         along = [map(rows.__getitem__, numbers) for rows, numbers in places]  # the values, point by point
         for _, *combination in zip(indices.tolist(), *along, strict=True):
             parameters = self._fixed.copy()
             parameters.update(zip(self._names, itertools.chain.from_iterable(combination), strict=True))
-            yield parameters, self.study.missing(parameters)
+            gone = self.study.missing(parameters)
+            is_there = all((parameters[name] is NO_EFFECT) == (name in gone) for name in self._lacking)
+            parameters.update(dict.fromkeys(gone))
+            yield parameters, gone, is_there and not self.excludes(parameters)
 
-    def _is_misplaced(self, raw: Mapping[str, Any], gone: Collection[str]) -> bool:
-        """Return whether an axis of its own has a value where it has no effect, or none where it has one."""
-        return any((raw[name] is None) != (name in gone) for name in self._alone)
+    def idle(self, indices: NDArray[np.intp]) -> set[str]:
+        """Return the parameters that have no effect at any of the points at ``indices``."""
+        return set[str].intersection(*({*gone} for _, gone, _ in self._raw(indices))) if self.study.when else set()
 
     @cached_property
     def _left_out(self) -> set[int]:
@@ -175,7 +185,7 @@ class Grid:
         """Return digests of points by all their parameters except those ``left_out``."""
         places = dict(zip(self.dimensions, self._places(indices), strict=True))
         known = [entry for entry in self._texts_along if entry[0] not in left_out]
-        gone = [missing for _, missing in self._raw(indices)] if self.study.when else []
+        gone = [missing for _, missing, _ in self._raw(indices)] if self.study.when else []
         texts = list[Iterable[str | None]]()
         for name, dimension, along in known:
             numbers = itertools.repeat(0, len(indices)) if dimension is None else places[dimension]
@@ -215,18 +225,8 @@ class Grid:
         return tuple(parameters[name] for name in self._names if name not in self._shared)
 
     def excludes(self, parameters: dict[str, Any]) -> bool:
-        """Return whether the study leaves out a point with these values on its axes."""
-        return self._excludes(parameters, self.study.missing(parameters))
-
-    def _excludes(self, raw: dict[str, Any], gone: Collection[str]) -> bool:
-        point = _resolved(raw, gone)
-        is_left_out = any(all(c.holds(point[c.name]) for c in clause) for clause in self.study.excluded)
-        return is_left_out or self._is_misplaced(raw, gone)
-
-
-def _resolved(raw: dict[str, Any], gone: Collection[str]) -> dict[str, Any]:
-    """Return the parameters of a point, None for those without effect."""
-    return raw | dict.fromkeys(gone) if gone else raw
+        """Return whether the study leaves out a point with these parameters."""
+        return any(all(c.holds(parameters[c.name]) for c in clause) for clause in self.study.excluded)
 
 
 def all_but(study: Study, points: Collection[bytes]) -> dict[str, int]:
@@ -267,10 +267,9 @@ def make_grid(study: Study) -> Grid:
             "with a store each, or take a design of points (--design)"
         )
         raise SweepError(message, study.source)
-    # only places that axes share may be without a value: else nothing there differs between points for this
     values = {name: (value,) for name, value in study.fixed.items()} | dict(study.axes)
     required = [one.name for one in study.experiment.parameters if not one.optional and one.default is not None]
-    may_lack = [name for name in required if name in study.when.keys() - study.alone and None in values.get(name, ())]
+    may_lack = [name for name in required if name in study.when and None in values.get(name, ())]
     judged = PointCache(partial(_judged, study, may_lack), study.varying)
     reasons, warnings = Counter[str](), Counter[str]()
     idle: Mapping[str, str] | None = None  # fixed parameters that mattered at no point so far

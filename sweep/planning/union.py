@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from linksweep.sweep.contract import Experiment, Named, Point, SweepError, Unknown, Value, shown
 from linksweep.sweep.formatting import counted
-from linksweep.sweep.planning.grid import MAX_POINTS, Grid, GridPoint, all_but
+from linksweep.sweep.planning.grid import MAX_POINTS, NO_EFFECT, Grid, GridPoint, all_but
 from linksweep.sweep.studies.points import MAX_VALUES, Values, labels_of, numbers_like, require_distinct
 from linksweep.sweep.studies.study import POINT, PointTable, Sampling, Study
 from linksweep.sweep.tables.columns import sorted_json
@@ -86,13 +86,13 @@ def united(stored: Study, asked: Study, in_ledger: Collection[bytes] = (), *, is
             )
     if gone := [name for name in stored.axes if name not in defaults]:
         raise SweepError(f"the axis {gone[0]} of the store is no parameter any more; --only leaves its points out")
-    axes = {*stored.axes, *asked.axes}
-    changed = [name for name in defaults if name not in axes and sorted_json(was[name]) != sorted_json(now[name])]
+    idle = theirs.idle(places)
+    alike = {*stored.axes, *asked.axes, *idle}
+    changed = [name for name in defaults if name not in alike and sorted_json(was[name]) != sorted_json(now[name])]
     tables = [one.points for one in (asked, stored) if one.points is not None]
     excluded = tuple(clause for clause in asked.excluded if clause in stored.excluded)
     kept.pop(POINT, None)  # with rows that repeat others, and those that are not there yet
-    rows = _crossed((theirs, was, kept), (mine, now, {}))
-    rows |= {(name,): [(was[name],), (now[name],)] for name in changed}
+    rows = _crossed([(theirs, was, kept, idle), (mine, now, {}, mine.idle(mine.indices()))], changed)
     n = len(places) + len(mine)
     most = max(SMALL, min(MAX_POINTS, SPARSEST * n, n + MOST_LEFT_OUT))
     are_lost = any(one.labels and {*one.names} != {*tables[0].names} for one in tables)
@@ -125,7 +125,7 @@ def united(stored: Study, asked: Study, in_ledger: Collection[bytes] = (), *, is
         points=points,
         excluded=excluded,
         counts={},
-    ).completed()
+    )
     result = replace(result, counts=_counts(theirs, places, mine, result, in_ledger))
     is_same = result.digest() == asked.digest()
     if is_same and [*result.dimensions] == [*asked.dimensions]:
@@ -191,24 +191,27 @@ def _is_crossed(theirs: Grid, mine: Grid) -> bool:
     )
 
 
-def _crossed(*sides: tuple[Grid, Mapping[str, Value], Mapping[str, NDArray[np.intp]]]) -> Rows:
-    """Return the values along each dimension of a store and a study, of each its grid, its constants, and which places
-    along its dimensions are kept, all if that does not say.
+def _crossed(
+    sides: Sequence[tuple[Grid, Mapping[str, Value], Mapping[str, NDArray[np.intp]], set[str]]], changed: Sequence[str]
+) -> Rows:
+    """Return the values along each dimension of a store and a study, and of constants that have ``changed``; of each
+    its grid, its constants, which places along its dimensions are kept, all if that does not say, and the parameters
+    whose values are not needed.
     """
     rows: Rows = {}
-    for names in (axes for grid, _, _ in sides for axes in grid.dimensions.values()):
+    for names in (*(axes for grid, *_ in sides for axes in grid.dimensions.values()), *((name,) for name in changed)):
         if any(names[0] in known for known in rows):
             continue
         both = list[list[Row]]()
-        for grid, constants, kept in sides:
+        for grid, constants, kept, idle in sides:
             dimension = next((d for d, axes in grid.dimensions.items() if names[0] in axes), None)
             if dimension is None:
-                both.append([tuple(constants[name] for name in names)])
+                both.append([] if idle.issuperset(names) else [tuple(constants[name] for name in names)])
             else:
                 there = [dict(zip(grid.dimensions[dimension], row, strict=True)) for row in grid.rows[dimension]]
                 some = [there[number] for number in kept[dimension]] if dimension in kept else there
-                both.append([tuple(row.get(name) for name in names) for row in some])
-        rows[names] = _joined(*both)
+                both.append([tuple(row.get(name) for name in names) for row in some if NO_EFFECT not in row.values()])
+        rows[names] = _joined(*both) or [tuple(sides[-1][1][name] for name in names)]
     return rows
 
 
@@ -328,13 +331,12 @@ def refined(study: Study, rounds: Iterable[Round]) -> Study:
     for one in rounds:
         for raw in one.points if all(point.keys() == axes.keys() for point in one.points) else ():
             point = {name: parameters[name].parse(value) for name, value in raw.items()}
-            if all(value in axes[name] for name, value in point.items() if name != one.along):
+            if all(value in (None, *axes[name]) for name, value in point.items() if name != one.along):
                 axes[one.along] = tuple(dict.fromkeys([*axes[one.along], point[one.along]]))
                 added.add(point_at(study, point).digest)
         counts |= {name: max(n, counts.get(name, 0)) for name, n in one.n_sim.items()}
     grown = [name for name, values in study.axes.items() if len(axes[name]) > len(values)]
     axes |= {name: tuple(sorted(axes[name], key=lambda value: (value is None, value or 0))) for name in grown}
-    axes = dict(replace(study, axes=axes).completed().axes)
     grid, written = Grid(study), {name: parameters[name].written(axes[name]) for name in grown}
     counts |= all_but(replace(study, axes=axes), {*added, *grid.digests(grid.indices())})
     document = {**study.document, "counts": counts, "axes": study.document.get("axes", {}) | written}

@@ -220,24 +220,20 @@ def place_of(study: Study, at: str, where: str) -> tuple[dict[str, Any], dict[st
             wanted |= _on_axis(study, name, text)
         except ValueError as error:
             problems.append(f"--at {error}")
-    grid, unreadable = Grid(study), bool(problems)
-    parameters, indices = study.experiment.defaults() | dict(study.fixed), dict[str, int]()
-    for dimension, rows in grid.rows.items():
-        named = [dict(zip(grid.dimensions[dimension], row, strict=True)) for row in rows]
-        fitting = [k for k, one in enumerate(named) if not any(is_other(wanted.get(n, v), v) for n, v in one.items())]
-        if len({(rows[k], *map(type, rows[k])) for k in fitting}) == 1:
-            indices[dimension] = fitting[0]
-            parameters |= named[fitting[0]]
-        elif not unreadable and fitting:
-            values = study.axes.get(dimension) or range(len(rows))
-            problems.append(f"--at: {dimension} needs a value, one of {first_of(list(values), MOST_NAMED)}")
-        elif not unreadable:
-            problems.append(f"--at {shown(at)}: no point has these values together")
     if problems:
         raise SweepError(problems, where)
-    if grid.excludes(parameters):
-        raise SweepError(f"--at {shown(at)}: the study excludes this point", where)
-    return parameters, indices
+    grid = Grid(study)
+    there = [i for i, p in grid.parameters() if not any(is_other(value, p[name]) for name, value in wanted.items())]
+    if not there:
+        raise SweepError(f"--at {shown(at)}: the study has no point with these values", where)
+    along = dict(zip(grid.dimensions, np.unravel_index(there, grid.shape) if grid.shape else (), strict=True))
+    for dimension, places in along.items():
+        if len({*places.tolist()}) > 1:
+            values = study.places.get(dimension) or range(len(grid.rows[dimension]))
+            problems.append(f"--at: {dimension} needs a value, one of {first_of(list(values), MOST_NAMED)}")
+    if problems:
+        raise SweepError(problems, where)
+    return grid.point(there[0]).parameters, {dimension: int(places[0]) for dimension, places in along.items()}
 
 
 def _on_axis(study: Study, name: str, text: str) -> dict[str, Any]:
@@ -251,7 +247,7 @@ def _on_axis(study: Study, name: str, text: str) -> dict[str, Any]:
         raise ValueError(f"{name}: is not an axis{suggest(name, list(study.axes))}")
     parameter = study.experiment.parameter(name)
     value = parameter.parse(parse_value(text, is_text=parameter.kind == "str"))
-    axis = list(study.axes[name])
+    axis = list(study.places[name])
     if all(is_other(value, one) for one in axis):
         if not (hits := meant(axis, value)):
             raise ValueError(f"{name} = {shown(value)}: not on the axis, which has {first_of(plain(axis), MOST_NAMED)}")

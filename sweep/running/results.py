@@ -15,7 +15,7 @@ from linksweep.sweep.contract import FEWEST_SAMPLES, Array, Output, Parameter, R
 from linksweep.sweep.contract.rows import LENGTH, MISSING_INT, REFERENCE, Block, Reducer, absent, ledger_key
 from linksweep.sweep.formatting import ERRORS, RAGGED, TRUTH, described, short_meaning
 from linksweep.sweep.planning.accumulator import Accumulator
-from linksweep.sweep.planning.grid import Grid
+from linksweep.sweep.planning.grid import NO_EFFECT, Grid
 from linksweep.sweep.planning.plan import Plan
 from linksweep.sweep.stores.ledger import Stored
 from linksweep.sweep.stores.location import Location
@@ -328,21 +328,20 @@ def _coordinates(grid: Grid) -> dict[str, Variable]:
             texts = np.array(cells, dtype=object if isinstance(cells[0], str) else None)
             coordinates[name] = Variable((POINT,), texts, described("", "label of the point"))
     for dimension, axes in grid.dimensions.items():
-        for name in axes:
+        for name, along in zip(axes, zip(*grid.rows[dimension], strict=True), strict=True):
             parameter = experiment.parameter(name)
-            values: Any = study.axes[name]
-            is_alone = name == dimension or name not in study.when
-            missing = [one is None and name in study.when for one in values] if is_alone else grid.without(name)
-            kinds = {type(value) for value, is_missing in zip(values, missing, strict=True) if not is_missing}
+            blank = NO_EFFECT if name in study.alone or name not in study.when else None
+            missing = [one is blank for one in along] if blank or name == dimension else grid.without(name)
+            kinds = {type(value) for value, is_missing in zip(along, missing, strict=True) if not is_missing}
             is_text = parameter.kind == "str" or not (kinds <= {int, float} or kinds == {bool})
             values = [
                 ("" if is_text else np.nan) if is_missing else str(value) if is_text else value
-                for value, is_missing in zip(values, missing, strict=True)
+                for value, is_missing in zip(along, missing, strict=True)
             ]
-            values = np.array(values, dtype=object) if is_text else values
-            coordinates[name] = Variable((dimension,), np.array(values), _attributes(parameter))
+            data = np.array(values, dtype=object if is_text else None)
+            coordinates[name] = Variable((dimension,), data, _attributes(parameter))
             if kinds == {int} and any(missing):  # which a float may not hold
-                fill = missing_of(whole := np.array([value or 0 for value in study.axes[name]]))
+                fill = missing_of(whole := np.array([value if type(value) is int else 0 for value in along]))
                 coordinates[name].data, coordinates[name].encoding[FILL] = np.where(missing, fill, whole), fill
     for dimension, (values, unit) in experiment.dimension_coordinates().items():
         about = described(unit, dimension.replace("_", " "))

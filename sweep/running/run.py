@@ -199,7 +199,7 @@ def again_where(store: Store, study: Study, condition: str) -> dict[bytes, Recor
         point.digest in failed or any(row in some for row in rows[point.digest] for some in other) for point in points
     ]
     texts = {name for p in points for name, value in p.parameters.items() if isinstance(value, str | Named)}
-    labelled = [{n for n in texts if p.parameters[n] is not None or n not in study.when} for p in points]
+    labelled = [texts.difference(study.missing(p.parameters)) for p in points]
     table = [
         {OLD: is_old} | {name: str(value) if name in some else value for name, value in p.parameters.items()}
         for p, is_old, some in zip(points, made_by_other, labelled, strict=True)
@@ -310,7 +310,8 @@ def check_points(opened: OpenStore, study: Study) -> None:
         return
     names = [name for name in dict.fromkeys([*old, *study.points.names]) if name not in table.get("labels", ())]
     settings = study.experiment.defaults()
-    if not {*names} <= settings.keys():  # one is no parameter any more, which is refused where points are joined
+    crossed = {*document.get("axes", ()), *study.axes} - {*study.points.names}
+    if not {*names} <= settings.keys() - crossed:  # one is an axis, or no parameter any more: points are joined as such
         return
     rows = min(len(next(iter(old.values()))), len(study.axes[study.points.names[0]]))
     was = {name: old.get(name) or rows * [document.get("fixed", {}).get(name, settings[name])] for name in names}

@@ -452,7 +452,8 @@ def read_points(
     experiment, problems = values.experiment, values.problems
     if POINT in {*experiment.defaults(), *(output.name for output in experiment.outputs), *experiment.coordinates}:
         problems.add(("points",), f"{experiment.name} has a {POINT!r} of its own, the name of this dimension")
-    columns, table = _written(form.points, values, form.fixed, code)
+    settings = {n: v for n, v in {**experiment.defaults(), **form.fixed}.items() if n not in form.axes}
+    columns, table = _written(form.points, values, settings, code)
     points: dict[str, tuple[Value, ...] | None] = {}
     for name, raw_values in columns.items():
         where = ("points", "ranges" if form.points.design else form.points.source, name)
@@ -465,8 +466,10 @@ def read_points(
     return points, table
 
 
-def _written(form: PointsForm, values: Values, fixed: Mapping[str, Any], code: Code) -> tuple[Cells, PointTable]:
-    """Return the columns of a table of points as they are written, all of one length, and what is known of it."""
+def _written(form: PointsForm, values: Values, settings: Mapping[str, Any], code: Code) -> tuple[Cells, PointTable]:
+    """Return the columns of a table of points as they are written, all of one length, and what is known of it; of other
+    parameters those that are no axes have their ``settings``.
+    """
     problems, before = values.problems, len(values.problems.sentences)
     columns: Cells = form.columns or {}
     origin: dict[str, Any] = dict(form.origin or {})
@@ -491,7 +494,6 @@ def _written(form: PointsForm, values: Values, fixed: Mapping[str, Any], code: C
             raise ValueError(f"needs from 1 to {MAX_VALUES:,} points; {sizes}")
     if form.derive is not None and len(problems.sentences) == before:
         with problems.at(("points", "derive")):
-            settings = values.experiment.defaults() | dict(fixed)
             columns = {**columns, **_derived(form.derive, columns, settings, values, code)}
             origin["derive"] = form.derive
     columns = columns if len(problems.sentences) == before else {}

@@ -420,8 +420,10 @@ class _Reader:
         conditions = self._conditions(values, when)
         values_of = {name: some or () for name, some in axes.items()}
         draft = Study("", "", "", experiment, values_of, fixed, ONCE, tuple(map(tuple, zipped)), table, when=conditions)
-        crossed = {name: draft.completed().axes[name] or None for name in crossed}
-        axes |= crossed
+        crossed = {name: draft.places[name] or None for name in crossed}
+        required = {one.name for one in experiment.parameters if not one.optional and one.default is not None}
+        for name in required.intersection(draft.lacking):  # where None can only mean that there is no effect
+            axes[name] = tuple(value for value in axes[name] or () if value is not None) or axes[name]
         if points or "points" not in self.document:  # else the table is wrong: what it has is not known
             for name in (one.name for one in experiment.parameters if one.required):
                 if name not in {**axes, **fixed}:

@@ -728,7 +728,7 @@ class Study:
         counts: a larger n_sim of single points, by their digests, or 0 for those that are left out, as `sweep refine`
             has them.
         when: the conditions under which parameters have an effect, for each those on others; at a point where one is
-            not met the parameter is missing, None.  An axis of its own has this one point.
+            not met the parameter is missing, None.  A grid has this one point beside those with the values of its axis.
         published: published results.
         source: the file that it was read from.
         question: what it asks, for reports.
@@ -811,13 +811,15 @@ class Study:
         """The axes, and constants that some points are without."""
         return list(dict.fromkeys([*self.axes, *self.partial]))
 
-    def completed(self) -> "Study":
-        """Return the study with None at the end of axes that have no effect at some points, for the one point there is
-        without them; not of those that share a dimension with others.
-        """
-        lacking = [name for name in self.partial if self.axes.get(name) and None not in self.axes[name]]
-        more = {name: (*self.axes[name], None) for name in lacking if name in self.alone}
-        return replace(self, axes={**self.axes, **more})
+    @property
+    def lacking(self) -> list[str]:
+        """The axes of their own with a further place at the end: that of points at which they have no effect."""
+        return [name for name in self.partial if name in self.alone]
+
+    @property
+    def places(self) -> dict[str, tuple[Value, ...]]:
+        """The values along each axis, with None at the end of those that are `lacking`."""
+        return {**self.axes, **{name: (*self.axes[name], None) for name in self.lacking}}
 
     @property
     def alone(self) -> list[str]:
@@ -862,7 +864,7 @@ class Study:
     def digest(self) -> str:
         """Return a SHA-256 of everything that determines the results, whatever the layout of the file."""
         whole = self.meaning() | {
-            "axes": self.axes,
+            "axes": self.places,
             **self.numbers(),
             **({} if self.sampling.precision is None else {"precision": [self.sampling.precision, self.sampling.most]}),
             "zip": self.zipped,

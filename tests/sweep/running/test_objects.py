@@ -17,7 +17,7 @@ from hypothesis import given, settings, strategies as st
 
 import linksweep
 from linksweep import SweepError
-from tests.sweep.opening import OpenStore
+from tests.sweep.opening import OpenStore, merge
 from tests.tiers import examples, slow
 
 PLAIN = st.one_of(st.none(), st.booleans(), st.floats(1, 9), st.text("abc", max_size=3))
@@ -178,6 +178,22 @@ def test_where_a_declared_parameter_has_no_effect_there_is_one_point_without_it(
         assert (code, [row["fit"] for row in json.loads(out)["rows"] if row["fit"] is not None]) == (0, [107.0]), err
 
 
+def test_values_without_effect_are_on_no_axis_and_none_is_one_of_its_own(tmp_path, sweep):
+    (tmp_path / "m.py").write_text("def f(kernel: str, gamma=None):\n    return {'y': repr(gamma)}\n")
+    study = {"experiment": f"{tmp_path}/m.py:f", "when": {"gamma": {"kernel": ["rbf"]}}}
+    store = tmp_path / "s.zarr"
+    for axes, labels in (
+        ({"kernel": ["linear"]}, None),
+        ({"kernel": ["rbf"], "gamma": [0.5, 2.0]}, [0.5, 2.0, None]),
+        ({"kernel": ["rbf"], "gamma": ["None"]}, ["0.5", "2.0", "None", ""]),
+    ):
+        linksweep.run(study | {"axes": axes}, store, pool="serial")
+        whole = linksweep.open(store)
+        assert labels is None or pd.Series(whole.gamma.values).replace(np.nan, None).tolist() == labels
+    for at, words in (("kernel=rbf,gamma=None", "every bit"), ("kernel=linear", "every bit"), ("kernel=rbf", "0.5, 2")):
+        assert words in sweep("reproduce", store, "--at", at)[2]
+
+
 @pytest.mark.parametrize("when", [*WRONG, "gamma", {"gamma": {"kernel": []}}, {"gamma": {"gamma": [1.0]}}])
 def test_a_condition_that_means_nothing_is_refused(tmp_path, when):
     def fit(kernel: str = "rbf", gamma: float = 1.0):
@@ -195,11 +211,11 @@ def test_lambdas_have_labels_and_reach_every_kind_of_worker(tmp_path, pool):
     assert ds.result.sel(law=["square", "cube"]).values.tolist() == [4.0, 8.0]
 
 
-DEFAULTS = {"a": "x", "b": 0, "c": 1, "d": 2}
-VALUES = {name: ["x", "y", "z"] if name == "a" else [0, 1, 2, 3] for name in DEFAULTS}
+DEFAULTS = {"a": "x", "b": 0, "c": None, "d": 2}
+VALUES = {name: ["x", "y", None] if name == "a" else [0, 1, 2, None] for name in DEFAULTS}
 
 
-def chained(a: str = "x", b: int = 0, c: int = 1, d: int = 2):
+def chained(a: str | None = "x", b: int | None = 0, c: int | None = None, d: int | None = 2):
     return f"{a} {b} {c} {d}"
 
 
@@ -230,23 +246,27 @@ KINDS = "axes", "fixed", "default", "zip"
 
 
 @given(st.tuples(studies(*KINDS, "columns"), studies(*KINDS)), st.fixed_dictionaries({}, optional=CONDITIONS))
-@settings(max_examples=examples(30), derandomize=True)
+@settings(max_examples=examples(25), derandomize=True)
 def test_conditions_of_any_depth_hold_at_each_point_wherever_its_values_come_from(tmp_path_factory, runs, when):
     store, expected = tmp_path_factory.mktemp("when") / "s.zarr", dict[tuple, str]()
-    for study, points in runs:
+    for number, (study, points) in enumerate(runs):
         asked = set[str]()
         for point in points:
+            told = dict(point)
             for name in sorted(when):  # each depends on those before it
                 if any(point[other] not in some for other, some in when[name].items()):
-                    point[name] = None
-            result = chained(**{name: DEFAULTS[name] if value is None else value for name, value in point.items()})
+                    point[name], told[name] = None, DEFAULTS[name]
+            result = chained(**told)
             expected[tuple(point.values())] = result
             asked.add(result)
         ds = linksweep.run(study | {"experiment": chained, "when": when}, store, pool="serial", keep=True)
         assert {*ds.chained.values[ds.status.values == 1]} == asked
-    whole = linksweep.open(store)
-    assert {*whole.chained.values[whole.status.values == 1]} == {*expected.values()}
-    assert len(OpenStore(store).ledger().rows) == len(expected), "equal points are one"
+        linksweep.run(study | {"experiment": chained, "when": when}, store.with_name(f"{number}"), pool="serial")
+    merge([store.with_name("0"), store.with_name("1")], store.with_name("merged"))
+    for place in (store, store.with_name("merged")):
+        whole = linksweep.open(place)
+        assert {*whole.chained.values[whole.status.values == 1]} == {*expected.values()}
+        assert len(OpenStore(place).ledger().rows) == len(expected), "equal points are one"
     if {"b"} <= when.keys() & runs[1][0]["axes"].keys():  # the same points mean something else
         with pytest.raises(SweepError, match="when: "):
             linksweep.run(runs[1][0] | {"experiment": chained, "when": {**when, "b": {"a": ["w"]}}}, store)

@@ -223,3 +223,10 @@ def test_points_beside_a_table_have_no_labels(tmp_path):
     ds = linksweep.open(tmp_path / "s.zarr")
     rows = list(zip(ds.x.values.tolist(), ds.star.values.tolist(), strict=True))
     assert rows == [(1.0, "a"), (2.0, "b"), (9.0, "")]
+
+
+def test_a_table_beside_another_on_whose_column_there_is_an_axis_joins_it(tmp_path):
+    model, _ = counting()
+    run(model, tmp_path / "s.zarr", points={"x": [1.0, 2.0]}, axes={"k": [1, 2]})
+    run(model, tmp_path / "s.zarr", points={"k": [1, 3, 4]}, axes={"x": [1.0]})
+    assert linksweep.open(tmp_path / "s.zarr").attrs["points"] == 6

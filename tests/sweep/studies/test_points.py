@@ -33,6 +33,7 @@ wrong = lambda row: [1]
 fails = lambda row: {"k": 1 / (row["beta"] - 0.2)}
 bad = lambda row: {"k": -0.5}
 again = lambda row: {"beta": 1.0}
+crossed = lambda row: {"solver": "ab"[row["k"]]}
 """
 
 
@@ -185,6 +186,8 @@ def test_a_function_derives_further_columns(tmp_path, read, problems_of):
     said |= {"bad": "row 1: k = -0.5: must be an integer", "again": "again returns {'beta': 1.0}", "none": "none"}
     for name, problem in said.items():
         assert problem in problems_of(points | {"derive": f"{tmp_path}/own.py:{name}"})[0]
+    points["derive"] = f"{tmp_path}/own.py:crossed"  # what is an axis differs from point to point
+    assert "crossed raises KeyError: 'k'" in problems_of(points, axes={"k": [1, 2]})[0]
 
 
 def test_without_salib_the_design_says_what_to_install(monkeypatch, problems_of):
