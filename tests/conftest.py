@@ -40,6 +40,18 @@ FIRST = ("test_paper", "test_interrupt", "test_faults", "test_docs", "test_slurm
 COINS = str(Path(__file__).parent / "sweep" / "coins.py") + ":experiment"
 APART = {"--workers", "--scheduler", "--cluster", "--dashboard", "--time-limit", "--memory-limit"}
 APART |= {"threads", "processes"}  # what makes a command of a test a process of its own
+LINK_STUDY = """
+title = "A small link"
+[axes]
+model = ["amex", "gaia"]
+v_max = [14.0, 15.0, 16.0]
+[fixed]
+catalogue = "quasars"
+[sampling]
+n_sim = 2000
+n_cat = 3
+seed = 11
+"""
 
 
 def pytest_addoption(parser):
@@ -80,20 +92,6 @@ def coin_store(tmp_path_factory):
 def coins_document():
     axes, sampling = {"metal": ["gold", "tin"], "coins": [1, 5, 20]}, {"n_sim": 1000, "n_cat": 20, "seed": 7}
     return {"title": "Coins", "experiment": COINS, "axes": axes, "fixed": {"chance": 0.4}, "sampling": sampling}
-
-
-LINK_STUDY = """
-title = "A small link"
-[axes]
-model = ["amex", "gaia"]
-v_max = [14.0, 15.0, 16.0]
-[fixed]
-catalogue = "quasars"
-[sampling]
-n_sim = 2000
-n_cat = 3
-seed = 11
-"""
 
 
 @pytest.fixture

@@ -20,6 +20,7 @@ import linksweep
 from tests.documents import ROOT, code, commands, run_commands, save_files
 from tests.sweep.executing.test_clusters import Files as TlsFiles
 from tests.sweep.outside import Outside
+from tests.tiers import PATIENCE_S
 
 # The pages whose commands need nothing from elsewhere.  Others are run below (clusters), and by the tests of the
 # tutorial, stores and galaxies.
@@ -40,6 +41,16 @@ MODULES = [
     for path in sorted((ROOT / top).rglob("*.py"))
     if ">>> " in path.read_text()
 ]
+ON_POOLS = """
+for pool in ("serial", "threads", "processes"):
+    on = linksweep.run(growth, axes={"rate": [0.0, 0.1]}, store=f"{pool}.zarr", pool=pool, progress=False)
+    print(pool, on.end.values.tolist() == [growth(r)["end"] for r in (0.0, 0.1)])
+"""
+MISTAKE = """linksweep.run(growth, axes={"rte": [0.0]})"""
+OTHER_CODE = """
+scale = 3.0
+linksweep.run(growth, axes={"rate": [0.0, 0.1]}, store="serial.zarr", pool="serial", progress=False)
+"""
 
 
 @pytest.mark.slow
@@ -68,7 +79,6 @@ def test_the_commands_of_a_page_run_and_write_what_it_shows(page, tmp_path, swee
 
 
 def python(folder, *arguments):
-    """What a script prints, which must not fail."""
     command = [sys.executable, "-W", "error::DeprecationWarning", *arguments]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
@@ -226,3 +236,38 @@ def test_the_examples_run(name, here):
     results = doctest.testmod(import_module(name), optionflags=doctest.NORMALIZE_WHITESPACE)
     assert results.attempted
     assert not results.failed
+
+
+def data(shown):
+    return {kind for output in shown if "data" in output for kind in output["data"]}
+
+
+@pytest.mark.slow
+def test_cells_of_the_notebook_page_on_every_pool_with_a_mistake_and_with_other_code(tmp_path):
+    pytest.importorskip("ipykernel")
+    nbclient, nbformat = pytest.importorskip("nbclient"), pytest.importorskip("nbformat")
+    sources = [*code("function-notebook.md", "python"), ON_POOLS, MISTAKE, OTHER_CODE]
+    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(source) for source in sources])
+    kernel = tmp_path / "kernels" / "here"
+    kernel.mkdir(parents=True)
+    start = f'["{sys.executable}", "-m", "ipykernel_launcher", "-f", "{{connection_file}}"]'
+    (kernel / "kernel.json").write_text(f'{{"argv": {start}, "display_name": "here", "language": "python"}}')
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("JUPYTER_PATH", str(tmp_path))
+        patch.delenv("PYTHONWARNINGS", raising=False)
+        options = {"kernel_name": "here", "timeout": int(PATIENCE_S), "allow_errors": True}
+        resources = {"metadata": {"path": str(tmp_path)}}
+        nbclient.NotebookClient(notebook, resources=resources, **options).execute()
+    *page, on_pools, mistake, other_code = [cell.outputs for cell in notebook.cells]
+    results, answer, picture, more, *_ = page
+    assert not [output for output in (*results, *answer, *picture, *more) if output["output_type"] == "error"]
+    assert "text/html" in data(results) & data(answer)
+    assert "image/png" in data(picture)
+    said = "".join(output["text"] for output in on_pools if output["output_type"] == "stream")
+    assert said.split() == ["serial", "True", "threads", "True", "processes", "True"]
+    [error] = mistake
+    assert error["traceback"] == [f"SweepError: {error['evalue']}"]
+    assert "rte" in error["evalue"]
+    [error] = [output for output in other_code if output["output_type"] == "error"]
+    words = "value __main__.scale is 2.0 in the store, 3.0 now", "accept_code=True"
+    assert (error["ename"], all(one in error["evalue"] for one in words)) == ("SweepError", True)

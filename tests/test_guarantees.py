@@ -11,7 +11,6 @@ NAMED = r"`(tests/[\w/]+\.py)`"
 
 
 def is_slow(node):
-    """Whether a module's or a function's own statements mark all of it as slow."""
     if isinstance(node, ast.FunctionDef):
         return "pytest.mark.slow" in map(ast.unparse, node.decorator_list)
     return any(re.match(r"pytestmark = .*pytest\.mark\.slow", ast.unparse(statement)) for statement in node.body)

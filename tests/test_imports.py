@@ -54,7 +54,6 @@ def file_of(module):
 
 
 def imported(path):
-    """Yield the modules that a file imports."""
     for node in ast.walk(ast.parse(path.read_text())):
         if isinstance(node, ast.Import):
             yield from (file_of(alias.name) for alias in node.names)
@@ -72,12 +71,10 @@ def is_in(module, places):
 
 
 def package_of(module):
-    """The longest entry of PACKAGES that a module is in."""
     return max((p for p in PACKAGES if is_in(module, p)), key=len)
 
 
 def is_wrong(name, other):
-    """Whether a module may not import another."""
     if other in FILES and PACKAGES.index(package_of(other)) > PACKAGES.index(package_of(name)):
         return True
     if any(is_in(other, what) and not is_in(name, who) for what, who in ONLY_IN.items()):

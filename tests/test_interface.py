@@ -15,22 +15,6 @@ if __name__ == "__main__":
     ds = linksweep.run(study, "s.zarr", workers=2, pool="processes")
     print(ds.n_obj.values.tolist())
 """
-
-
-def python(folder, *arguments):
-    return subprocess.run([sys.executable, *arguments], cwd=folder, capture_output=True, text=True, check=False)
-
-
-def test_every_name_is_listed_and_every_function_says_what_it_takes_gives_and_raises():
-    assert dir(linksweep) == sorted([*linksweep.__all__, "__version__"])
-    assert not hasattr(linksweep, "spell")
-    for name in linksweep.__all__:
-        text = getattr(linksweep, name).__doc__
-        if name.islower():
-            assert all(part in text for part in ("Args:", "Returns:", "Raises:", "Example:", ">>> ")), name
-        assert name in linksweep.__doc__
-
-
 TYPED = """
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -52,6 +36,20 @@ experiment = Experiment(
 dataset: xr.Dataset = linksweep.run("study.toml", pool="serial")
 where: xr.Dataset = linksweep.find(dataset, "average < 1", over="mean")
 """
+
+
+def python(folder, *arguments):
+    return subprocess.run([sys.executable, *arguments], cwd=folder, capture_output=True, text=True, check=False)
+
+
+def test_every_name_is_listed_and_every_function_says_what_it_takes_gives_and_raises():
+    assert dir(linksweep) == sorted([*linksweep.__all__, "__version__"])
+    assert not hasattr(linksweep, "spell")
+    for name in linksweep.__all__:
+        text = getattr(linksweep, name).__doc__
+        if name.islower():
+            assert all(part in text for part in ("Args:", "Returns:", "Raises:", "Example:", ">>> ")), name
+        assert name in linksweep.__doc__
 
 
 @pytest.mark.slow  # mypy reads the types of xarray, Dask and all that they import

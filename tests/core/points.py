@@ -37,7 +37,6 @@ OTHER = {
 
 
 def sky(n_obj, seed=1, mean_pm=300.0 * MAS):
-    """Objects anywhere: ra, dec, pmra, pmdec."""
     rng = np.random.default_rng(seed)
     place = rng.uniform(0.0, 2.0 * np.pi, n_obj), np.arcsin(rng.uniform(-1.0, 1.0, n_obj))
     return *place, *rng.normal(0.0, mean_pm, (2, n_obj))
@@ -54,29 +53,24 @@ def generators(seed=1):
 
 
 def drawn(seed=1, **changes):
-    """The catalogue that a generator gives a point."""
     return scenario(link.defaults() | changes).draw_catalogue(np.random.default_rng(seed))
 
 
 def evaluated(n_sim, *points, seed=1):
-    """The sums of points over realisations of one catalogue each."""
     return link.evaluate(points, n_sim, *generators(seed))
 
 
 def results(n_sim, *points, seed=1):
-    """The results of points, one row each."""
     ones = np.ones(len(points))
     return link.summarise(evaluated(n_sim, *points, seed=seed), n_sim * ones, ones)
 
 
 def run(physics, n_sim, seed=1, catalogue_seed=2, keep=True):
-    """The sums of a scenario, with its estimates."""
     streams = np.random.default_rng(seed), np.random.default_rng(catalogue_seed)
     return simulate([physics], n_sim, *streams, keep_estimates=keep)[0]
 
 
 def of_objects(catalogue, physics, **changes):
-    """A scenario with the objects of a catalogue."""
     return replace(physics, draw_catalogue=NestedDraw("these", len(catalogue), lambda _: catalogue), **changes)
 
 

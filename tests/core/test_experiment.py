@@ -165,7 +165,6 @@ def streams(n_cat, seed=1):
 
 
 def assert_same_bits(here, n_sim, n_cat):
-    """Refuse catalogues that have other sums together than one by one."""
     found = link.evaluate_catalogues([here], n_sim, streams(n_cat))
     for k, pair in enumerate(streams(n_cat)):
         for name, values in link.evaluate([here], n_sim, *pair).items():

@@ -57,13 +57,11 @@ def one_by_one(physics, n_sim, seed=1, catalogue_seed=2):
 
 
 def covariances(model, catalogue):
-    """The covariance of each object's errors; shape (N, 4, 4)."""
     sigma, correlation = model.standard_errors(catalogue), model.correlation(catalogue)
     return sigma[:, :, None] * (np.eye(4) if correlation is None else correlation) * sigma[:, None, :]
 
 
 def errors(model, normals, catalogue):
-    """Turn unit normals (N, 4) into errors, with each object's own covariance."""
     if not np.any(model.standard_errors(catalogue)):
         return 0.0 * normals
     return np.einsum("nij,nj->ni", np.linalg.cholesky(covariances(model, catalogue)), normals)

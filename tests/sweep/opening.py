@@ -39,7 +39,6 @@ IN_TEXT = None  # a step from a text into the document that it holds
 
 
 def run_study(*study, **how):
-    """Run a study; return its dataset, as xarray has it, and its failures."""
     dataset, failures = running.run_study(*study, **how)
     return dataset.to_xarray(), failures
 

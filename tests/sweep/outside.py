@@ -60,7 +60,6 @@ class Outside:
 
 
 def address_in(file: Path) -> str | None:
-    """Return the address in a scheduler file, None until it has been written to its end."""
     try:
         return json.loads(file.read_text())["address"]
     except (FileNotFoundError, json.JSONDecodeError):
@@ -77,7 +76,6 @@ def wait_until(true, what, seconds=PATIENCE_S):
 
 
 def below(pid):
-    """Return the processes that a process started, and those that these started."""
     with suppress(psutil.NoSuchProcess):
         return {child.pid for child in psutil.Process(pid).children(recursive=True)}
     return set()
@@ -96,7 +94,6 @@ def _connections(pids, kind):
 
 
 def listening(pids):
-    """Return the addresses and the ports on which these processes listen."""
     return [tuple(one.laddr) for one in _connections(pids, "inet") if one.status == psutil.CONN_LISTEN]
 
 
@@ -106,7 +103,6 @@ def unix_sockets(pids):
 
 
 def command_of(pid):
-    """Return the command line of a process, empty if it is no more."""
     with suppress(psutil.NoSuchProcess):
         return " ".join(psutil.Process(pid).cmdline())
     return ""

@@ -84,7 +84,6 @@ def test_all_mistakes_of_a_file_are_told_at_once_and_shortly(tmp_path, sweep):
 
 
 def run(place, rates=(1.0, 2.0), sampling=None, **changed):
-    """The results of an experiment that differs in some parts from one that is right."""
     study = {"title": "t", "axes": {"rate": list(rates)}, "sampling": {"n_sim": 4} | (sampling or {})}
     experiment = Experiment(**GOOD | changed)
     return linksweep.run(study | {"experiment": experiment}, place, pool="serial", max_failures="100%")
@@ -99,7 +98,6 @@ def stop(points, n_sim, rng, catalogue_rng):
 
 
 def of(*values):
-    """An evaluate that returns some values as the sum of each point."""
     return lambda points, n_sim, rng, catalogue_rng: {"total": [list(values) if len(values) > 1 else values[0]]}
 
 

@@ -9,7 +9,7 @@ from scipy.stats import binom, chi2, t
 
 import linksweep
 from linksweep.sweep.analysis.compare import compare
-from linksweep.sweep.analysis.laws import find, fit_levelling, fit_power_law, interpolate, parse_limit, ratio
+from linksweep.sweep.analysis.laws import find, fit_levelling, fit_power_law, interpolate, parse_limit
 from linksweep.sweep.running.scaling import _dataset
 from tests.sweep import spread
 
@@ -73,13 +73,6 @@ def test_the_law_through_points_that_share_random_numbers(shared):
         for share in (0.05, 0.5):
             low, high = binom.ppf([FALSE_ALARM / 2.0, 1.0 - FALSE_ALARM / 2.0], COPIES, share)
             assert low <= np.sum(fits["p_value"].values < share) <= high
-
-
-def test_ratios_of_points_that_share_random_numbers(shared):
-    dataset, dof = shared
-    of = ratio(dataset, "width", "x", 3.0, 2.0)
-    assert np.all(of["ratio_error"] > 0.0)
-    assert_covers((of["ratio"] - np.sqrt(2.0 / 3.0)) / of["ratio_error"], dof)
 
 
 def test_comparisons_with_claims(shared):

@@ -24,7 +24,6 @@ PARTS |= {"outputs": 'Output("mean", "", "mean", headline=True),', "summarise": 
 
 
 def write_experiment(folder, name="user.py", **parts):
-    """Write the file of an experiment that differs in some parts from one that is right."""
     parts = PARTS | {key: textwrap.dedent(part) for key, part in parts.items()}
     text = EXPERIMENT
     for key, part in parts.items():

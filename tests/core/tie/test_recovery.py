@@ -25,7 +25,6 @@ YEARS = st.floats(-40.0, 40.0)
 
 
 def by_astropy(reference, epoch):
-    """Return the values of a reference at an epoch by astropy."""
     ra, dec, parallax, pmra, pmdec = reference.values
     here, rate = (ra * units.rad, dec * units.rad, Distance(parallax=parallax * units.rad)), units.rad / units.yr
     moves = {"pm_ra_cosdec": pmra * rate, "pm_dec": pmdec * rate}

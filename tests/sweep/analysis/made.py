@@ -46,10 +46,8 @@ def grid(value, error=None, x=N, name="n", unit="", status=None, published=None,
 
 
 def text_of(dataset):
-    """What the terminal shows of a dataset."""
     return Result(dataset).written("text")
 
 
 def shown(*arguments):
-    """What a command prints."""
     return CliRunner().invoke(main, list(map(str, arguments))).stdout

@@ -19,7 +19,6 @@ several = settings(max_examples=examples(50))
 
 
 def results(x, y, errors=None, covariance=None, samples=None, name="n", **attributes):
-    """Results along one axis as `linksweep.open` returns them."""
     variables = {"width": (name, np.asarray(y, dtype=float), {"headline": 1})}
     variables["status"] = name, np.full(len(x), DONE, np.int8)
     if errors is not None:
@@ -185,7 +184,6 @@ def test_a_law_too_slow_for_the_fall_falls_by_less_everywhere(seed, times):
 
 
 def delta(function, values, covariance, step=1e-6):
-    """Return the error of a function of values, to first order."""
     steps = step * np.diag(np.abs(values))
     gradient = np.array([(function(values + s) - function(values - s)) / (2.0 * s.sum()) for s in steps])
     return np.sqrt(gradient @ covariance @ gradient)
@@ -285,7 +283,6 @@ def test_claims_of_slopes_and_ratios_have_the_errors_of_the_fits(seed, samples):
 
 
 def table(columns, y):
-    """Results at the points of a table, as `linksweep.open` returns them."""
     coords = {name: ("point", np.asarray(values)) for name, values in columns.items()}
     variables = {"y": ("point", np.asarray(y, dtype=float), {"headline": 1})}
     variables["status"] = "point", np.full(len(y), DONE, np.int8)
@@ -294,7 +291,6 @@ def table(columns, y):
 
 
 def as_design(made, **ranges):
-    """Let the points of a table be those of a design."""
     told = {"parameters": list(ranges), "design": "sobol", "n": made.sizes["point"], "ranges": ranges}
     return made.assign_attrs(point_table=json.dumps(told))
 

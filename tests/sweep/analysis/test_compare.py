@@ -16,17 +16,6 @@ from tests.sweep.analysis.made import DONE, EXCLUDED, FAILED, MISSING, N, grid
 
 compare = verdicts.compare
 LAW = {"variable": "width", "over": "n"}
-
-
-def claim(**keys):
-    return {"text": "A statement", "source": "Sect. 1", "published": "1.0"} | keys
-
-
-def only(dataset):
-    (comparison,) = compare(dataset)
-    return comparison
-
-
 WIDE = {"tolerance": 0.07, "tolerance_reason": "curves by eye"}
 SAID = "the paper does not say of how many"
 # 0.605 - 0.6 > 0.005 in binary; 0.6349 is within three errors more
@@ -50,6 +39,32 @@ JUDGED = [  # value, error, published and what else the claim says; the verdict,
     (1.09, 0.005, "1.1", {"null": 1.0}, "reproduced", ""),
     (1.09, 0.005, "1.1", {"null": 1.06}, "not comparable", "more than 0.04"),
 ]
+GOOD = f"""
+title = "Coins"
+experiment = '{COINS}'
+[axes]
+metal = ["gold", "tin"]
+coins = [1, 5, 20]
+[sampling]
+n_sim = 1000
+n_cat = 20
+seed = 7
+
+[[claim]]
+text = "Half of them"
+source = "p. 3"
+published = "0.5"
+"""
+PLACE = 'value = { variable = "share", at = { coins = 5 } }'
+
+
+def claim(**keys):
+    return {"text": "A statement", "source": "Sect. 1", "published": "1.0"} | keys
+
+
+def only(dataset):
+    (comparison,) = compare(dataset)
+    return comparison
 
 
 @pytest.mark.parametrize(("value", "error", "text", "keys", "verdict", "reason"), JUDGED)
@@ -200,25 +215,6 @@ def test_a_store_carries_what_was_published_and_keeps_its_numbers(coins, here):
     del published_coins["claim"]
     dataset = linksweep.run(published_coins, "t.zarr", pool="serial")
     assert dataset["share_published"].notnull().values.tolist() == [True, True, False]
-
-
-GOOD = f"""
-title = "Coins"
-experiment = '{COINS}'
-[axes]
-metal = ["gold", "tin"]
-coins = [1, 5, 20]
-[sampling]
-n_sim = 1000
-n_cat = 20
-seed = 7
-
-[[claim]]
-text = "Half of them"
-source = "p. 3"
-published = "0.5"
-"""
-PLACE = 'value = { variable = "share", at = { coins = 5 } }'
 
 
 def coin_study(folder, claim=f"tolerance = 0.2\ntolerance_reason = 'a coin'\n{PLACE}\n"):

@@ -22,7 +22,6 @@ GOALS += [(FOUND | {"along": "y"}, "y"), (FOUND | {"variable": "other"}, "other"
 
 
 def shape(x: float, root: float, power: float = 1.0, is_step: bool = False) -> float:
-    """Rises through 0 at the root: a power, or a step."""
     return math.copysign(1.0 if is_step else abs(x - root) ** power, x - root)
 
 

@@ -48,7 +48,6 @@ def by_quadrature(function, ranges, nodes):
         return array
 
     def variance(kept):
-        """Return the variance of the mean over what is not kept."""
         return mean((mean(values, every - kept) - mean(values, every)) ** 2, kept).item()
 
     first = np.array([variance({k}) for k in every]) / variance(every)

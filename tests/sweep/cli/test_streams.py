@@ -18,6 +18,18 @@ def f(place: int):
     return place
 """
 SAID = "error: standard output cannot be written: No space left on device\n"
+LOUD = """
+import logging, os, sys
+{at_import}
+def loud(x: float):
+    {in_function}
+    if x == 2:
+        raise ValueError("no")
+    return x
+"""
+WORDS = 'print("said"); os.system("echo said"); os.write(1, b"said\\n")'
+LOG = "logging.basicConfig(stream=sys.stdout, level=logging.DEBUG, force=True)"
+MORE = [slow(WORDS, LOG, "threads"), slow(WORDS, LOG, "serial"), slow(LOG, WORDS, "processes")]
 
 
 @pytest.fixture(scope="module")
@@ -81,20 +93,6 @@ def test_a_message_that_no_file_can_hold_is_escaped_and_bounded(store, tmp_path)
     run = ("run", store.parent / "study.toml", "-o", tmp_path / "s.zarr", "--log", tmp_path / "run.log")
     code, _, err = shell("", *run)
     assert (code, "Traceback" in err, said in (tmp_path / "run.log").read_text()) == (1, False, True)
-
-
-LOUD = """
-import logging, os, sys
-{at_import}
-def loud(x: float):
-    {in_function}
-    if x == 2:
-        raise ValueError("no")
-    return x
-"""
-WORDS = 'print("said"); os.system("echo said"); os.write(1, b"said\\n")'
-LOG = "logging.basicConfig(stream=sys.stdout, level=logging.DEBUG, force=True)"
-MORE = [slow(WORDS, LOG, "threads"), slow(WORDS, LOG, "serial"), slow(LOG, WORDS, "processes")]
 
 
 @pytest.mark.parametrize(("at_import", "in_function", "pool"), [(LOG, WORDS, "threads"), *MORE])

@@ -21,6 +21,17 @@ from tests.sweep.user import write_experiment, write_study
 from tests.tiers import PATIENCE_S, slow
 
 LONG = ("--set", "n_sim=20000", "--set", "n_cat=6")
+TALKS = """
+import os, sys, warnings
+def total(points, n_sim):
+    (p,) = points
+    print(f"at {p['kind']}: {'x' * 5}")
+    print(f"not well at {p['kind']}", file=sys.stderr)
+    PROGRAM
+    warnings.warn("mind the gap")
+    return {"total": [n_sim * p["kind"]]}
+"""
+POOLS = ["--pool threads --workers 2", *map(slow, ["--pool serial", "--workers 2", "--pool serial --time-limit 60"])]
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +70,6 @@ def outside(tmp_path):
 
 
 def lines_until(words, process):
-    """Read what a process says until it says these words; return what came before."""
     before = ""
     for line in process.stderr:
         if words in line:
@@ -174,19 +184,6 @@ def test_workers_without_the_folder_compute_with_its_helpers(tmp_path, sweep, ou
     outside.start_worker(before=[*hide, "sh"])
     out = sweep("run", "s.toml", "-o", "s.zarr", "--scheduler", outside.address, cwd=study, code=0)[1]
     assert open_dataset(study / "s.zarr")["mean"].values.tolist() == [5.0, 10.0], out
-
-
-TALKS = """
-import os, sys, warnings
-def total(points, n_sim):
-    (p,) = points
-    print(f"at {p['kind']}: {'x' * 5}")
-    print(f"not well at {p['kind']}", file=sys.stderr)
-    PROGRAM
-    warnings.warn("mind the gap")
-    return {"total": [n_sim * p["kind"]]}
-"""
-POOLS = ["--pool threads --workers 2", *map(slow, ["--pool serial", "--workers 2", "--pool serial --time-limit 60"])]
 
 
 @pytest.mark.parametrize("pool", POOLS)

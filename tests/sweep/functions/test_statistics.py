@@ -200,10 +200,3 @@ def error_of_std(values):
     plain = (kurtosis + 2.0 + 2.0 / (n - 1.0)) / (4.0 * n)
     enlarged = np.exp(np.clip((8.0 * kurtosis + 62.0 * skewness + 3.3 * kurtosis**2) / n, -0.5, 3.0))
     return values.std(axis=0, ddof=1) * np.sqrt(plain * enlarged)
-
-
-def test_nothing_is_added_to_the_error_of_a_standard_deviation_of_many_realisations():
-    values = np.concatenate([drawn(LAWS[law], 50_000, 1) for law in ("uniform", "normal", "Laplace")], axis=1)
-    value, error = one("std", values)
-    expected = value * np.sqrt((stats.kurtosis(values, bias=False) + 2.0) / 200_000.0)
-    assert error == pytest.approx(expected, rel=5e-3)

@@ -53,7 +53,6 @@ def plan_of(document, experiment=None, **sampling):
 
 
 def exact(*headlines):
-    """An experiment whose errors are known exactly."""
     names = [*PER_CENT, *(f"{name}_mc_error" for name in PER_CENT)]
     outputs = tuple(Output(name, "", name, headline=name in headlines, nan=True) for name in names)
 
@@ -73,7 +72,6 @@ def precise(headlines=("a", "b"), **sampling):
 
 
 def row(sums, accumulator):
-    """What a block leaves of a point."""
     return np.array([tuple(sums)], dtype=accumulator.reducer.dtype)
 
 
@@ -323,7 +321,6 @@ def even_are_fair(point):
 
 
 def grid_of(study, unused=even_are_fair):
-    """The grid of coins some of whose parameters may change nothing."""
     return plan_of(study, replace(ONE.experiment, unused=unused)).grid
 
 

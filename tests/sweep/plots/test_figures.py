@@ -19,10 +19,21 @@ MAPS = {
     "plateau": lambda x, y: min(x * y, 8.0),
     "noise": lambda x, y: x + y + 7.0 * np.sin(1e4 * x * y),
 }
+STUDY = """
+title = "A wave"
+experiment = "wave.py:wave"
+[axes]
+x = [1.0, 2.0, 3.0]
+mode = ["a", "b"]
+[figure]
+"""
+WAVE = "def wave(x: float, mode: str):\n    return {'first': x, 'second': x * len(mode), 'third': -x}\n"
+FIGURES = [('variable = "second"\nat = { mode = "b" }\nlog = ["second"]', 0, ["second"])]
+FIGURES += [('at = { mood = "a" }', 0, ["first"])]  # what a function returns is not known before it runs
+FIGURES += [('kind = "curve"', 1, "no curve of first here; possible are lines")]
 
 
 def axes_of(figure):
-    """The panels of a figure, without colour bars."""
     return [axes for axes in figure.axes if axes.get_label() != "<colorbar>"]
 
 
@@ -130,20 +141,6 @@ def test_a_list_at_each_point_of_an_axis_is_a_map_over_both(tmp_path):
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("half life", "index\u00a00")
     shown = np.asarray(axes.collections[0].get_array()).reshape(11, 6)
     assert shown == pytest.approx(0.5 ** np.divide.outer(range(11), lives))
-
-
-STUDY = """
-title = "A wave"
-experiment = "wave.py:wave"
-[axes]
-x = [1.0, 2.0, 3.0]
-mode = ["a", "b"]
-[figure]
-"""
-WAVE = "def wave(x: float, mode: str):\n    return {'first': x, 'second': x * len(mode), 'third': -x}\n"
-FIGURES = [('variable = "second"\nat = { mode = "b" }\nlog = ["second"]', 0, ["second"])]
-FIGURES += [('at = { mood = "a" }', 0, ["first"])]  # what a function returns is not known before it runs
-FIGURES += [('kind = "curve"', 1, "no curve of first here; possible are lines")]
 
 
 @pytest.mark.parametrize(("figure", "code", "drawn"), [*FIGURES, ('at = { mode = "c" }', 2, "'c' is not on the axis")])

@@ -19,10 +19,26 @@ from tests.sweep.analysis import made
 from tests.tiers import slow
 
 VALUES = [[8.0, 4.0, 2.0], [80.0, 20.0, 10.0]]
+CHIRP = '''
+import numpy as np
+import xarray as xr
+def chirp(a: float, b: float, window: str, n: int = 9):
+    """Measure the peak of a chirp,
+    which a window lowers.
+
+    The text of <i>all</i> paragraphs.
+
+    Args:
+        a: its rate.
+    """
+    if b == 3.0:
+        raise ValueError(f"undefined at {a}")
+    time = np.linspace(0.0, 1.0, n)
+    return {"peak": 3.0 * a + b, "early": a > 4.0, "curve": xr.DataArray(a * time, {"time": time})}
+'''
 
 
 def grid(value, status=None, **others):
-    """A dataset of axes model (2) and size (3), as results are."""
     parts = {f"width_{name}": (("model", "size"), np.asarray(part, float)) for name, part in others.items()}
     dataset = made.grid(value, x=[1.0, 2.0, 4.0], name="size", status=status, **parts)
     return dataset.assign_attrs(complete=1)
@@ -178,25 +194,6 @@ def test_differences_from_a_prediction_are_in_errors_and_have_no_unit(factor):
     assert "units" not in found.attrs
     np.testing.assert_allclose(found.values, (values - 5.0 * factor) / error, rtol=1e-12)
     assert residuals(grid(values, **errors), "width") is None
-
-
-CHIRP = '''
-import numpy as np
-import xarray as xr
-def chirp(a: float, b: float, window: str, n: int = 9):
-    """Measure the peak of a chirp,
-    which a window lowers.
-
-    The text of <i>all</i> paragraphs.
-
-    Args:
-        a: its rate.
-    """
-    if b == 3.0:
-        raise ValueError(f"undefined at {a}")
-    time = np.linspace(0.0, 1.0, n)
-    return {"peak": 3.0 * a + b, "early": a > 4.0, "curve": xr.DataArray(a * time, {"time": time})}
-'''
 
 
 @pytest.mark.slow

@@ -42,6 +42,50 @@ def total(points, n_sim):
     from late import PLUS
     return {"total": [n_sim * (helper.FACTOR * p["rate"] + PLUS) for p in points]}
 """
+H = """
+K, ALL = 1.0, {"a": max}
+class B: ...
+class B2: z = 1.0
+class C(B): k = 1.0
+c = C()
+def f(x: float):
+    return x * K * c.k * C.k + len(ALL) + ALL["a"]([0.0]) * 0 + getattr(c, "z", 0.0)
+"""
+NAMED = {"h.K = 4.0": "value h.K", "h.c.k = 4.0": "value h.c", "h.C.k = 4.0": "value h.C.k"}
+NAMED |= {"h.ALL['a'] = sum": "value h.ALL", "h.C.__bases__ = (h.B2,)": "class h.C"}
+DECLARED = """
+import threading
+from pathlib import Path
+import linksweep
+L = threading.Lock()
+T = [eval("lambda x: x", {"__name__": None})]
+@linksweep.experiment(reads=["READS"])
+def f(x: float):
+    with L:
+        return T[0](x) * float((Path(__file__).parent / "k.csv").read_text())
+"""
+CHANGES_ITS_FILE = """
+from pathlib import Path
+import linksweep
+FILE, ONCE = (Path(__file__).parent / name for name in ("k.csv", "once"))
+@linksweep.experiment(reads=["k.csv"])
+def f(x: float):
+    if x == 3 and not ONCE.exists():
+        ONCE.touch()
+        FILE.write_text("100")
+    return x * float(FILE.read_text())
+"""
+SCRIPT = """
+import numpy as np
+import linksweep
+def f(x, k=1):
+    return x * k * np.pi
+results = {}
+for k in (1, 2):
+    for axis in ([1, 2], [1, 2, 3]):
+        ds = linksweep.run(f, f"s{k}.zarr", axes={"x": axis}, fixed={"k": k}, pool="serial")
+        results[k] = ds
+"""
 
 
 @pytest.fixture
@@ -56,7 +100,6 @@ def folder(tmp_path, sweep):
 
 
 def change(folder, kind):
-    """Change the code, and return what should be named."""
     file, old, new, named = CHANGES[kind]
     (folder / file).write_text((folder / file).read_text().replace(old, new))
     return named.format(folder=folder)
@@ -179,7 +222,6 @@ def run(folder, axis):
 
 
 def check(layout, folder):
-    """Require that other code is refused by name, and that the same in other words is not."""
     layout.write(folder)
     run(folder, [1.0, 2.0])
     layout.write(folder, cosmetic=True)
@@ -214,19 +256,6 @@ def test_a_module_that_a_function_imports_by_a_name_counts(tmp_path, call):
         run(tmp_path, [1.0, 2.0, 3.0])
 
 
-H = """
-K, ALL = 1.0, {"a": max}
-class B: ...
-class B2: z = 1.0
-class C(B): k = 1.0
-c = C()
-def f(x: float):
-    return x * K * c.k * C.k + len(ALL) + ALL["a"]([0.0]) * 0 + getattr(c, "z", 0.0)
-"""
-NAMED = {"h.K = 4.0": "value h.K", "h.c.k = 4.0": "value h.c", "h.C.k = 4.0": "value h.C.k"}
-NAMED |= {"h.ALL['a'] = sum": "value h.ALL", "h.C.__bases__ = (h.B2,)": "class h.C"}
-
-
 # What a script does with its module h, and what is named
 @pytest.mark.parametrize(("change", "named"), [*[*NAMED.items()][:2], *(slow(*one) for one in [*NAMED.items()][2:])])
 def test_attributes_count_as_they_are_when_the_run_starts(tmp_path, monkeypatch, change, named):
@@ -255,19 +284,6 @@ def test_a_value_counts_where_it_is_bound_whoever_imports_it(tmp_path, sweep, st
     assert f"value m.V ({tmp_path}/m.py, line 2)" in err
 
 
-DECLARED = """
-import threading
-from pathlib import Path
-import linksweep
-L = threading.Lock()
-T = [eval("lambda x: x", {"__name__": None})]
-@linksweep.experiment(reads=["READS"])
-def f(x: float):
-    with L:
-        return T[0](x) * float((Path(__file__).parent / "k.csv").read_text())
-"""
-
-
 def test_what_has_no_canonical_form_is_named_once_and_declared_files_count(tmp_path, sweep):
     (tmp_path / "k.csv").write_text("3")
     for reads in ("nope.csv", ".", "*.csv"):
@@ -283,19 +299,6 @@ def test_what_has_no_canonical_form_is_named_once_and_declared_files_count(tmp_p
     (tmp_path / "k.csv").write_text("4")
     code, _, err = sweep("run", "m.py:f", "--axis", "x=1,2,3", "-o", "s.zarr", cwd=tmp_path)
     assert (code, "file k.csv has changed" in err) == (2, True)
-
-
-CHANGES_ITS_FILE = """
-from pathlib import Path
-import linksweep
-FILE, ONCE = (Path(__file__).parent / name for name in ("k.csv", "once"))
-@linksweep.experiment(reads=["k.csv"])
-def f(x: float):
-    if x == 3 and not ONCE.exists():
-        ONCE.touch()
-        FILE.write_text("100")
-    return x * float(FILE.read_text())
-"""
 
 
 @pytest.mark.parametrize("then", [1, 100])
@@ -323,19 +326,6 @@ def test_a_value_that_each_process_has_otherwise_is_named_and_refuses_nothing(tm
         assert process.returncode == expected, err
         assert ("m.START differs from process to process" in err) == (axis == "x=1,2"), err
     assert "value m.K (" in err
-
-
-SCRIPT = """
-import numpy as np
-import linksweep
-def f(x, k=1):
-    return x * k * np.pi
-results = {}
-for k in (1, 2):
-    for axis in ([1, 2], [1, 2, 3]):
-        ds = linksweep.run(f, f"s{k}.zarr", axes={"x": axis}, fixed={"k": k}, pool="serial")
-        results[k] = ds
-"""
 
 
 @pytest.mark.slow

@@ -168,7 +168,6 @@ def test_killed_while_integers_become_floats_none_is_rounded(tmp_path, monkeypat
 
 @pytest.fixture
 def small(monkeypatch):
-    """Chunks of large arrays of 64 values."""
     monkeypatch.setattr("linksweep.sweep.contract.rows.MOST_VALUES", 64)
 
 

@@ -61,7 +61,6 @@ def sleepers(tmp_path, monkeypatch):
 
 
 def ended_as(body):
-    """Run a body that is given the interruptions, and return what ended it."""
     try:
         with watched() as interruptions:
             body(interruptions)

@@ -23,6 +23,7 @@ from tests.tiers import examples, slow
 PLAIN = st.one_of(st.none(), st.booleans(), st.floats(1, 9), st.text("abc", max_size=3))
 WRONG = ({"gam": {"kernel": ["rbf"]}}, {"gamma": {"kernl": ["rbf"]}}, {"gamma": {"kernel": "rbf"}}, {"gamma": ["rbf"]})
 NUMBERS = st.lists(st.sampled_from([1, 2, 3, 1.0, 2.0, 2.5]), min_size=1, unique=True)
+ROWS = np.array([[0.0, 1.0], [2.0, 3.0]])
 
 
 class Colour(enum.Enum):
@@ -386,9 +387,6 @@ def test_tuples_of_a_table_with_labels_stay_tuples(tmp_path):
     table = {"x": things, "w": list("abcd")}
     ds = linksweep.run(lambda x: repr(x) + "", tmp_path / "s.zarr", points=table, labels="w", pool="serial")
     assert ds.result.values.tolist() == [repr(thing) for thing in things]
-
-
-ROWS = np.array([[0.0, 1.0], [2.0, 3.0]])
 
 
 @pytest.mark.parametrize(

@@ -21,6 +21,7 @@ OTHER_RESOURCES = [("--workers", 1), ("--workers", 4), ("--pool", "threads", "--
 SPREAD = {"title": "Spread", "experiment": f"{Path(spread.__file__)}:experiment"}
 SPREAD["axes"] = {"x": [0.5, 1.0, 2.0], "law": ["power", "levelling"]}
 SPREAD["sampling"] = {"n_sim": 64, "n_cat": 6, "seed": 5, "common_random_numbers": True}
+STEP = ContextVar("STEP", default=1.0)
 
 
 @pytest.mark.parametrize("resources", [("--workers", 2), *map(slow, OTHER_RESOURCES)], ids=str)
@@ -54,9 +55,6 @@ def test_each_point_has_the_time_that_it_took(tmp_path, pool):
     assert both.wall_time.sel(x=0.01) >= 0.01
     assert xr.open_zarr(store).load().wall_time.equals(both.wall_time)
     assert not check(store)
-
-
-STEP = ContextVar("STEP", default=1.0)
 
 
 @pytest.mark.parametrize("pool", ["serial", "threads", slow("processes")])

@@ -55,7 +55,6 @@ def test_the_command_leaves_the_measurements_and_nothing_else(tmp_path, sweep, m
 
 
 def memory_of(tmp_path, points, *command):
-    """Return the peak memory of a command on so many points, and that of the largest of its processes, in MB."""
     study = (COINS, "--axis", 'metal="gold","tin"', "--axis", f"coins=1:{points // 200}:1", "--set", "n_sim=1")
     command = [*command[:1], *study, "--axis", "chance=0.2:0.794:0.006", *command[1:]]
     watched = watch([sys.executable, "-m", "linksweep", *command], tmp_path)

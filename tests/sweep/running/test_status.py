@@ -45,6 +45,15 @@ def never(x: int):
 def random_never(x: int, rng):
     raise ImportError(f"no package for {x}")
 """
+SLOW_FIRST = """
+import time
+{module}
+def f(x: int):
+    {call}
+    time.sleep(0.001)
+    return float(x)
+"""
+FIRST_CALL = "called = []", "called or called.append(time.sleep(1.0))"
 
 
 def test_points_that_nobody_asked_for_and_failures_that_left_a_store_are_told(sweep, tmp_path):
@@ -283,17 +292,6 @@ def test_the_rule_in_any_order(fails, limit):
             expected = n >= 20 and 100.0 * bad > limit * n
         assert bool(count.too_many()) == expected
         assert str(count) == (f"{n - bad} done, {bad} failed of 100 points" if bad else f"{n}/100 points")
-
-
-SLOW_FIRST = """
-import time
-{module}
-def f(x: int):
-    {call}
-    time.sleep(0.001)
-    return float(x)
-"""
-FIRST_CALL = "called = []", "called or called.append(time.sleep(1.0))"
 
 
 @pytest.mark.parametrize(("module", "call"), [FIRST_CALL, slow("time.sleep(1.0)", "pass")])

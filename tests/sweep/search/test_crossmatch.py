@@ -142,12 +142,12 @@ def test_entries_of_several_catalogues_are_one_galaxy(catalogues, merge, labels,
 
 
 def test_each_rule_of_the_classes_in_a_search():
-    """Five stars: alone, with three others within 120", 4 sigma off, with a second star, supplement."""
+    """Five stars: 2.9 sigma off, with three others within 120", 4 sigma off, with a second star, supplement."""
     ra = np.array([10.0, 50.0, 90.0, 130.0, 170.0])
     crowd = positions(np.array([50.0, 50.0, 50.0]), np.array([60.0, 90.0, -110.0]) / 3600.0, 0.1)
     second = positions([130.0], [4.0 / 3600.0], 0.1)
     stars = concatenated(positions(ra, np.zeros(5), 0.3), crowd, second)
-    galaxies = positions(ra, np.array([0.0, 0.0, 2.0, 0.0, 0.0]) / 3600.0, 0.4)
+    galaxies = positions(ra, np.array([1.45, 0.0, 2.0, 0.0, 0.0]) / 3600.0, 0.4)
     supplement = np.arange(len(stars.ra)) == 4
     matches = cross_match(stars, supplement, [catalogue(galaxies, 5.0)])
     assert matches["star"].tolist() == [0, 1, 2, 3, 4]
@@ -155,24 +155,11 @@ def test_each_rule_of_the_classes_in_a_search():
     doubts = pd.DataFrame({"crowded": [0, 1, 0, 0, 0], "offset": [0, 0, 1, 0, 0], "rival": [0, 0, 0, 1, 0]}, dtype=bool)
     pd.testing.assert_frame_equal(matches.reasons, doubts)
     assert matches["n_near"].tolist() == [0, 3, 0, 1, 0]
-    np.testing.assert_allclose(matches["n_sigma"], [0, 0, 4, 0, 0], atol=1e-6)
-    np.testing.assert_allclose(matches["d_dec"] / ARCSEC, [0, 0, 2, 0, 0], atol=1e-6)  # galaxy - star
-    kinder = cross_match(
-        stars, supplement, [catalogue(galaxies, 5.0)], SearchOptions(k_sigma=4.5, crowding_radius=100.0)
-    )
+    np.testing.assert_allclose(matches["n_sigma"], [2.9, 0, 4, 0, 0], atol=1e-6)
+    np.testing.assert_allclose(matches["d_dec"] / ARCSEC, [1.45, 0, 2, 0, 0], atol=1e-6)  # galaxy - star
+    kinder = SearchOptions(k_sigma=4.5, crowding_radius=100.0)
+    kinder = cross_match(stars, supplement, [catalogue(galaxies, 5.0)], kinder)
     assert kinder["class"].tolist() == ["certain", "certain", "certain", "uncertain", "supplement"]
-
-
-def test_three_sigma_is_exceeded_as_often_as_normal_errors_do():
-    rng = np.random.default_rng(5)
-    n = 20_000
-    stars = sky(rng, n, 0.12)
-    seen, galaxies = near(rng, stars, 0.12), near(rng, stars, 1.0)
-    error = np.full(n, ARCSEC)
-    there = Positions(galaxies.ra, galaxies.dec, error, error)
-    doubtful = cross_match(seen, no_supplement(stars), [catalogue(there, 10.0)]).reasons["offset"]
-    expected = n * np.exp(-4.5)  # Rayleigh
-    assert abs(int(doubtful.sum()) - expected) < 4.0 * np.sqrt(expected)
 
 
 def test_local_chance_pairs_follow_the_crowding():

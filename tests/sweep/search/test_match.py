@@ -43,7 +43,6 @@ REFUSED += [(TYC, [], "a TYC that is no Tycho identifier like '1-13-1' in row 2,
 
 
 def read_galaxy_table(path):
-    """The 46-byte table as the document reads it."""
     starts, ends = (0, 5, 11, 13, 19, 32, 45), (3, 9, 11, 17, 30, 43, 45)
     names = ("TYC1", "TYC2", "TYC3", "PGC", "RAdeg", "DEdeg", "class")
     return text_tables.read(path, format="fixed_width_no_header", names=names, col_starts=starts, col_ends=ends)

@@ -16,6 +16,29 @@ from tests.documents import save_files
 from tests.sweep.mutations import ROOT, mutants
 from tests.tiers import PATIENCE_S, slow
 
+START = """title = "x"
+[axes]
+v_max = [16.0]
+[fixed]
+catalogue = "quasars"
+"""
+LARGE = {
+    "a file of 50 MB": START + "#" * 50_000_000,
+    "a string of 50 MB": f'x = "{"a" * 50_000_000}"',
+    "an axis of 1e9 values by step": START.replace("[16.0]", "{ start = 14, stop = 16, step = 2e-9 }"),
+    "an axis of 1e9 values by number": START.replace("[16.0]", "{ start = 14, stop = 16, num = 1000000000 }"),
+    "brackets without end": f"{START}omega = {'[' * 400_000}",
+    "braces without end": f"{START}omega = {'{a=' * 200_000}",
+    "a key of 300 000 parts": f"{START}a{'.a' * 300_000} = 1",
+    "a table of 300 000 parts": f"{START}[a{'.a' * 300_000}]",
+    "90 000 tables": START + "".join(f"[t{i}]\n" for i in range(90_000)),
+    "20 000 claims": START + "[[claim]]\ntext = 'a'\nsource = 'b'\npublished = '1'\n" * 20_000,
+    "150 000 equal values": START.replace("[16.0]", f"[{'16.0,' * 150_000}]"),
+    "80 000 zipped names": START + "[grid]\nzip = [[" + "'v_max'," * 80_000 + "]]",
+    "10^18 realisations": f"{START}[sampling]\nn_cat = 1000000000\nn_sim = 1000000000",
+}
+ADDRESSES_KB = 2**20  # a gigabyte of addresses, of which the interpreter with NumPy, SciPy, Dask and xarray takes half
+
 
 @pytest.mark.parametrize("number", [10**5000, -(10**5000)], ids=["large", "negative"])  # which Python does not print
 @pytest.mark.parametrize("place", ["v_max", "n_obj", "model", "n_sim"])
@@ -27,7 +50,6 @@ def test_integers_that_cannot_be_printed(number, place, tmp_path):
 
 @pytest.fixture
 def folder(here):
-    """A directory with what the studies need beside them."""
     shutil.copytree(ROOT / "sweeps" / "published", here / "published")
     save_files("experiments.md", here)
     return here
@@ -73,30 +95,6 @@ def test_mutants_that_are_planned_can_be_run(folder, count):
         if ran == count:
             return
     pytest.fail(f"only {ran} studies could be run")
-
-
-START = """title = "x"
-[axes]
-v_max = [16.0]
-[fixed]
-catalogue = "quasars"
-"""
-LARGE = {
-    "a file of 50 MB": START + "#" * 50_000_000,
-    "a string of 50 MB": f'x = "{"a" * 50_000_000}"',
-    "an axis of 1e9 values by step": START.replace("[16.0]", "{ start = 14, stop = 16, step = 2e-9 }"),
-    "an axis of 1e9 values by number": START.replace("[16.0]", "{ start = 14, stop = 16, num = 1000000000 }"),
-    "brackets without end": f"{START}omega = {'[' * 400_000}",
-    "braces without end": f"{START}omega = {'{a=' * 200_000}",
-    "a key of 300 000 parts": f"{START}a{'.a' * 300_000} = 1",
-    "a table of 300 000 parts": f"{START}[a{'.a' * 300_000}]",
-    "90 000 tables": START + "".join(f"[t{i}]\n" for i in range(90_000)),
-    "20 000 claims": START + "[[claim]]\ntext = 'a'\nsource = 'b'\npublished = '1'\n" * 20_000,
-    "150 000 equal values": START.replace("[16.0]", f"[{'16.0,' * 150_000}]"),
-    "80 000 zipped names": START + "[grid]\nzip = [[" + "'v_max'," * 80_000 + "]]",
-    "10^18 realisations": f"{START}[sampling]\nn_cat = 1000000000\nn_sim = 1000000000",
-}
-ADDRESSES_KB = 2**20  # a gigabyte of addresses, of which the interpreter with NumPy, SciPy, Dask and xarray takes half
 
 
 @pytest.mark.parametrize("case", [case if case == "an axis of 1e9 values by step" else slow(case) for case in LARGE])

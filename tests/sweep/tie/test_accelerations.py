@@ -43,7 +43,6 @@ def drawn(n, seed, models=(5, 7, 9), epoch=2017.5):
 
 
 def satellite_table(path, made, accelerations, covariance, sizes, form="named", **changes):
-    """Write the satellite's table; missing parameters are blank."""
     sigma, correlation = by_errors(covariance)
     values = np.concatenate([made.values, accelerations])
     table = Table({"source_id": np.arange(len(made)) + 10**17, "ref_epoch": made.epoch})

@@ -150,7 +150,6 @@ def linked(tables, **options):
 
 
 def compare(link, tables, weights, sign=1.0):
-    """Hold a link to least squares with the differences and the factors that it has."""
     resamples = 1000 if "bootstrap" in link.error_kind else 2
     found = least_squares(tables, sign * link.difference.values, weights, link.weight_factor.values, resamples)
     kept, order = link.weight_factor.values > 0.0, np.argsort(tables.source, kind="stable")

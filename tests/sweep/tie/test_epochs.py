@@ -89,7 +89,6 @@ def fit(design, values, errors):
 
 
 def as_table(fitted, origin, names):
-    """Return a satellite's table of solutions."""
     values = np.array([one[0][:5] for one in fitted]).T * MAS
     values[0] = origin[0] + values[0] / np.cos(origin[1])
     values[1] += origin[1]
@@ -145,7 +144,6 @@ def with_every_parameter(link, sky, models):
     blocks, right, alone = [], [], []
 
     def add(s, of_frame, of_star, values, errors):
-        """Add rows of a star; a star's own parameters are from what its observations say."""
         block = np.zeros((len(values), len(scale)))
         block[:, :6], block[:, 6 + 11 * s : 17 + 11 * s] = of_frame, of_star
         blocks.append(block * scale / errors[:, None])
@@ -193,7 +191,6 @@ def orbits(folder, names, campbell=False):
 
 
 def models_of(folder, sky, models, campbell=False):
-    """Return the options that say which path each star has."""
     names = sky.satellite["source_id"].astype(str)
     chosen = {"star_models": {names[s]: model for s, model in enumerate(models) if model in ("7", "9")}}
     bound = names[np.array(models) == "orbit"]

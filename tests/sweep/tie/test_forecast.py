@@ -27,7 +27,6 @@ def scaled(own, old, new):
 
 
 def seen(own, rows):
-    """The values of rows of sources that do not move."""
     return own.values + noise(np.random.default_rng(1), rows) / [np.cos(own.values[1]), *np.ones((4, len(own)))]
 
 

@@ -123,10 +123,14 @@ MISTAKES = {
 }
 QUICK = {"mu_alpha", "half a year early there", "one star reversed", "errors in uas", "one row twice", "B1950"}
 QUICK |= {"motion errors in uas", "one parallax missing", "ecliptic"}
+PAIRS = [("motions exchanged", one, 12, 3) for one in ("motions in arcsec there", "mu_alpha there")]
+PAIRS += [("mu_alpha", "a quarter year late there", 12, 3), ("a century early there", "one star reversed", 12, 3)]
+PAIRS += [("mu_alpha", "mu_alpha there", 10, 2)]  # which wrong epochs of single rows would explain as well
+OFF = [mistake for mistake in MISTAKES if "year" in mistake or "century" in mistake]
+VALUES = [mistake for mistake in MISTAKES if re.search("mu_alpha|motions|reversed", mistake)]
 
 
 def with_mistakes(n, seed, *mistakes):
-    """Return the tables of a sky, changed by new columns, or by a function."""
     tables = dict(zip(("satellite", "reference"), sky(n, seed), strict=True))
     for side, change, _ in map(MISTAKES.get, mistakes):
         if callable(change):
@@ -138,7 +142,6 @@ def with_mistakes(n, seed, *mistakes):
 
 
 def written(folder, *tables):
-    """Write a satellite's table and a reference's; return their paths as text."""
     paths = [str(folder / "satellite.fits"), str(folder / "reference.fits")]
     for path, table in zip(paths, tables, strict=True):
         table.write(path, overwrite=True)
@@ -146,7 +149,6 @@ def written(folder, *tables):
 
 
 def solved(folder, *tables):
-    """Return the notes of a link, or the message that refuses it."""
     try:
         return linksweep.tie(*written(folder, *tables), "orientation,spin", accept_misfit=True).attrs["notes"]
     except SweepError as error:
@@ -172,13 +174,6 @@ def test_a_row_off_near_the_pole_of_the_ecliptic_is_not_of_another_equinox(tmp_p
     notes = solved(tmp_path, satellite, reference)
     assert any(re.search("15.* arcsec from", note) for note in notes), notes
     assert not any("B1950" in note for note in notes), notes
-
-
-PAIRS = [("motions exchanged", one, 12, 3) for one in ("motions in arcsec there", "mu_alpha there")]
-PAIRS += [("mu_alpha", "a quarter year late there", 12, 3), ("a century early there", "one star reversed", 12, 3)]
-PAIRS += [("mu_alpha", "mu_alpha there", 10, 2)]  # which wrong epochs of single rows would explain as well
-OFF = [mistake for mistake in MISTAKES if "year" in mistake or "century" in mistake]
-VALUES = [mistake for mistake in MISTAKES if re.search("mu_alpha|motions|reversed", mistake)]
 
 
 @pytest.mark.slow

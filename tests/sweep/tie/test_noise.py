@@ -72,7 +72,6 @@ def test_the_noise_has_the_largest_restricted_likelihood(tmp_path, seed, n):
     np.testing.assert_allclose(link.noise_error, expected, rtol=1e-3)
 
     def solution(variances):
-        """The matrix that makes the unknowns of the differences, and their covariance."""
         weights = np.linalg.inv(d + np.tensordot(variances, whole_noises, axes=1))
         inverse = np.linalg.pinv(both.T @ weights @ both, rcond=1e-14)[:6]
         return inverse @ both.T @ weights, inverse[:, :6]

@@ -208,7 +208,6 @@ def test_a_wrong_value_has_the_same_sentence_everywhere(tmp_path, name, value, t
 
 
 def written(folder, **changes):
-    """A study of tables in this folder, and what it finds."""
     fixed = {"unknowns": "orientation,spin", "accept_misfit": True} | changes
     study = {"title": "t", "experiment": TIE, "fixed": fixed, "sampling": {"n_sim": 2}}
     return linksweep.run(study, folder / "s.zarr", pool="serial", fresh=True)
@@ -243,14 +242,3 @@ def test_a_study_has_what_the_command_has_with_each_option(here, case):
     assert results.chi2_ratio.item() == pytest.approx(float(link.chi2 / link.chi2_expected))
     assert results.largest_share.item() == pytest.approx(float(link.share.max()))
     assert results.n_kept.item() == int(link.n_sources)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("weights", ["covariance", "equal"])
-def test_draws_scatter_as_the_closed_form_says(weights):
-    found = results(point("pulsar-timing", weights=weights), 2000)
-    expected = {"sigma": found["sigma_predicted"], "sigma_orientation": found["sigma_orientation_predicted"]}
-    for name, value in {**expected, "coverage": 0.6827, "bias": 0.0, "chi2_ratio_drawn": 1.0}.items():
-        off = np.atleast_1d((found[name] - value) / found[f"{name}_mc_error"])[:3]
-        assert np.abs(off).max() < 4.5, name
-    assert np.all(np.isnan(found["sigma"][3:]))
