@@ -21,7 +21,6 @@ def save_files(document, folder):
 
 
 def commands(document):
-    """The commands in blocks of shell and of pictures, in their order."""
     blocks = code(document, r"(?:sh|\{picture\})")
     lines = [line for block in blocks for line in block.replace("\\\n", " ").splitlines()]
     return [line for line in lines if line.startswith("sweep ")]

@@ -23,7 +23,6 @@ def columns(catalogue):
 
 
 def rows(catalogue):
-    """What stays with an object wherever it is put: pmra, pmdec, magnitude and errors."""
     return np.column_stack([columns(catalogue)[2:].T, catalogue.errors.sigma])
 
 

@@ -14,7 +14,7 @@ from tests.core.points import MISSIONS, OTHER, Function, Named, evaluated, link,
 BOTH = {"reference_errors": "catalogue", "satellite_errors": "catalogue"}
 OF_VLBI = {"columns": (("reference_pmdec_error", "d"), ("reference_pmra_error", "a"))}
 MOTIONS, POSITIONS = ({"satellite_errors": "normal", f"satellite_sigma_{kind}": 0.0} for kind in ("pos", "pm"))
-QUASARS, GALAXIES, RADIO_STARS = ({"catalogue": name} for name in ("quasars", "galaxies", "radio-stars"))
+QUASARS, GALAXIES, RADIO = ({"catalogue": name} for name in ("quasars", "galaxies", "radio-stars"))
 PROJECTED, NO_MAGNITUDES = {"method": "projected"}, {"contents": {"phot_g_mean_mag": None}}
 WRONG = [({"motion_field": "t_2"}, "motion_field = 't_2': 't_2' is no vector spherical harmonic; those are t_L_0")]
 WRONG += [*(({"motion_field": "t_51_0"}, "degrees L = 1 to 50"), ({"motion_field": "t_2_0,t_2_0"}, "t_2_0 twice"))]
@@ -53,7 +53,7 @@ def at(folder, contents=None, **changes):
         QUASARS | {"n_obj": None, "v_max": 16.3, "v_min": 14.7, "counts": "completed"},
         *(QUASARS | {"n_obj": 1000, "v_max": 16.5, "counts": "completed"}, {"solve_glide": True, "n_obj": 3}),
         *(GALAXIES | {"v_max": 11.0, "aberration": True}, {"zone_of_avoidance": 89.0, "sky_contrast": -0.99}),
-        RADIO_STARS | {"positions": "own", "reference_errors": "catalogue"},
+        RADIO | {"positions": "own", "reference_errors": "catalogue"},
         {"solve_glide": True, "aberration": True, "reference_errors": "normal", "corrections": False},
         {"directions": "random", "epsilon_size": 5.0, "omega_size": 0.0},
         PROJECTED | {"solve_glide": True, "weighting": "equal", "reference_errors": "normal"},
@@ -88,8 +88,8 @@ def test_points_without_a_problem_can_be_computed(changes, tmp_path):
             ({"catalogue": "file"}, "catalogue = 'file' needs a file"),
             (GALAXIES | {"v_max": 10.9}, "v_max = 10.9 mag: "),
         ),
-        *((RADIO_STARS | {"v_max": 9.0}, "v_max: "), (RADIO_STARS | {"aberration": True}, "aberration: ")),
-        (RADIO_STARS | BOTH | {"n_obj": None}, "reference_errors and satellite_errors"),
+        *((RADIO | {"v_max": 9.0}, "v_max: "), (RADIO | {"aberration": True}, "aberration: ")),
+        (RADIO | BOTH | {"n_obj": None}, "reference_errors and satellite_errors"),
         ({"satellite_errors": "catalogue"}, "satellite_errors = 'catalogue': "),
         ({"satellite_errors": "normal", "satellite_sigma_pos": 2e7}, "errors of 2e+07 mas and 1 mas/yr: must be from"),
         ({"mission_length": 5e-324}, "errors of inf mas and inf mas/yr: must be from"),
@@ -111,9 +111,7 @@ def test_points_with_a_problem(changes, problem, tmp_path):
     assert problem in link.check(at(tmp_path, **changes))
 
 
-@pytest.mark.parametrize(
-    ("changes", "good"), [({}, False), ({"v_min": 8.5}, True), (QUASARS, True), (RADIO_STARS, False)]
-)
+@pytest.mark.parametrize(("changes", "good"), [({}, False), ({"v_min": 8.5}, True), (QUASARS, True), (RADIO, False)])
 def test_a_function_is_asked_about_all_magnitudes_that_objects_can_have(changes, good):
     function = Function(lambda v: np.where(v < 8.0, -1.0, 0.1), "counted")
     table = {"nominal_length": 4.0, "sigma_pm": "x.py:f", "position_ratio": 1.0}

@@ -27,14 +27,12 @@ LINKS = {
     "leak-into-a-glide": {**LEAK, "solve_glide": True, "satellite_sigma_pm": 1.0},
 }
 ONE = [("quasars", 1, 64), ("quasars", 1, 2048), ("poor-geometry", 1, 512), ("slope", 1, 128), ("leak", 1, 128)]
-SEVERAL = [("quasars", n_cat, 64) for n_cat in (2, 5, 12)] + [("aberration", 5, 64), ("aberration", 12, 1024)]
+FEW = [("quasars", n_cat, 64) for n_cat in (2, 5, 12)] + [("aberration", 5, 64), ("aberration", 12, 1024)]
 MORE = [("three-objects", 100, 64), ("glide", 8, 64), ("leak", 24, 1)]
 OTHERS = [(case, 12, 64) for case in LINKS if case not in ("quasars", "three-objects", "poor-geometry", "glide")]
 
 
-@pytest.mark.parametrize(
-    ("case", "n_cat", "n_sim"), [("leak", 20, 8), *(slow(*one) for one in ONE + SEVERAL + MORE + OTHERS)]
-)
+@pytest.mark.parametrize(("case", "n_cat", "n_sim"), [("leak", 20, 8), *(slow(*a) for a in ONE + FEW + MORE + OTHERS)])
 def test_every_error_of_a_link(case, n_cat, n_sim):
     """That of realisations holds the catalogues fixed, that of their choice their prediction, and both make up all."""
     axes = {"error_scale": [1.0 + 1e-9 * k for k in range(150)]}

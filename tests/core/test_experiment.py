@@ -44,9 +44,7 @@ def test_samples_are_the_estimates_that_evaluate_adds_up(changes):
 
 def test_random_directions_of_a_study_keep_the_size_and_change_with_the_catalogue(monkeypatch):
     found, prepare = [], simulate.prepare
-    monkeypatch.setattr(
-        simulate, "prepare", lambda one, drawn, *more: found.append(more[0]) or prepare(one, drawn, *more)
-    )
+    monkeypatch.setattr(simulate, "prepare", lambda one, sky, *more: found.append(more[0]) or prepare(one, sky, *more))
     random = point(directions="random", epsilon_size=5.0, omega_size=0.5, satellite_errors="none")
     for k in range(4):
         kept = link.samples([random], 2, np.random.default_rng(1), np.random.default_rng(k))["estimate"]

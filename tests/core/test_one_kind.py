@@ -33,7 +33,6 @@ def results(*here):
 
 
 def solution(weighting, differences=None):
-    """The three unknowns of the kind, whose rows and columns are those of a rotation."""
     design, zero = design_matrix(RA, DEC, 0.0 * RA, 0.0 * RA)[:2, :, :3], np.zeros((2, N_OBJ))
     return solve(design, zero if differences is None else differences, ERRORS, weighting)
 

@@ -137,7 +137,6 @@ def existing_store(where, study):
 
 
 def create_or_resume(where, study, attributes=None):
-    """Return the store of a study, or of a document of one, made if there is none."""
     study = study_from_dict(study) if isinstance(study, dict) else study
     attributes = provenance(study) if attributes is None else attributes
     store = open_store(find_store(where, study) or create_store(where, {**attributes, **identity(study)}), study)
@@ -194,7 +193,6 @@ def places_in(document, at=()):
 
 
 def replaced(document, at, value):
-    """Return a document with another value in a place, or one more field there."""
     if not at:
         return value
     step, *rest = at

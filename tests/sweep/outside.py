@@ -31,7 +31,6 @@ class Outside:
             raise
 
     def start_worker(self, *options: str, before: Sequence[str] = (), **environment: str) -> subprocess.Popen:
-        """Start a worker of one thread with its nanny; ``before`` is a command that runs it."""
         arguments = (self.address, "--host", "127.0.0.1", "--nthreads", "1", "--no-dashboard")
         options = ("--local-directory", str(self.folder), *self.options, *options)
         return self._start("dask_worker", *arguments, *options, before=before, **environment)
@@ -98,7 +97,6 @@ def listening(pids):
 
 
 def unix_sockets(pids):
-    """Return the names of the sockets of these processes that have one; '@' begins those that are no files."""
     return [one.laddr for one in _connections(pids, "unix") if one.laddr]
 
 

@@ -9,7 +9,6 @@ MEAN_SQUARE = np.exp(2.0 * SCATTER**2)  # mean of the squared scale
 
 
 def variance(law, x):
-    """Return the true mean square of a realisation for a catalogue of scale 1."""
     return x**-1.0 if law == "power" else 1.0 + 4.0 * np.exp(-0.6 * x)
 
 

@@ -46,7 +46,6 @@ def seen_by_satellite(reference, epsilon, omega, zero_point=0.0):
 
 
 def noise(rng, astrometry):
-    """Return errors of the values of an astrometry; (5, N), zero where one is missing."""
     covariance = astrometry.covariance()
     values, vectors = np.linalg.eigh(covariance)
     half = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]

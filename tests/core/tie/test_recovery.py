@@ -43,7 +43,6 @@ def apparent(values, epoch):
 
 
 def made(used, years, unknowns, n=30):
-    """Return a problem of exact data: a satellite in a turned, spinning frame, rows in the reference's."""
     truth = stars(n, 2, pm=3000.0, parallax=60.0)
     satellite = replace(truth, values=seen_by_satellite(truth, EPSILON, OMEGA, zero_point=0.04 * MAS))
     epoch = truth.epoch[0] + years

@@ -37,7 +37,6 @@ def flow(rw: float, r: float, tu: float, hu: float, tl: float, hl: float, length
 
 
 def by_quadrature(function, ranges, nodes):
-    """Return first-order and total indices from Gauss-Legendre quadrature over the box."""
     x, w = np.polynomial.legendre.leggauss(nodes)
     axes = [low + (high - low) * 0.5 * (x + 1.0) for low, high in ranges]
     values, every = function(*np.meshgrid(*axes, indexing="ij", sparse=True)), set(range(len(axes)))

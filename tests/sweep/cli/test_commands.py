@@ -153,7 +153,6 @@ def test_all_points_of_a_table_that_have_a_value_are_shown(each, tmp_path):
 
 
 def offered(folder, *words):
-    """What bash offers for the last word, by the function that the script defines."""
     script = f"""
 eval "$(_SWEEP_COMPLETE=bash_source sweep)"
 compopt() {{ echo "option: $1 $2" > options; }}

@@ -27,9 +27,7 @@ KEPT |= {"numpy_int": np.int32(-7), "unsigned": np.uint8(255), "numpy_bool": np.
 ZONED = pd.Series([1.0, 2.0], index=pd.date_range("2020-06-01", periods=2, tz="Europe/Berlin"))
 GROWING = [((), [2, 3], "declare Output('a', ragged=True), Output('b', dims=('b_dim_0', 'b_dim_1'), ragged='b_dim_1')")]
 GROWING += [([Output("a", ragged=True)], [2, 3], "declare Output('b', dims=('b_dim_0', 'b_dim_1'), ragged='b_dim_1')")]
-GROWING += [
-    ([Output("b", ragged=True)], [2], "'b' has the dimensions (b_dim_0, b_dim_1): declare which of them is ragged")
-]
+GROWING += [([Output("b", ragged=True)], [2], "'b' has the dimensions (b_dim_0, b_dim_1): declare which of them is")]
 GROWING += [([Output("a", ragged=True)], [4], "'a' is ragged, and 'a_length' is the name of its length; take another")]
 GROWING += [([Output("a", dims="p", ragged=True), Output("b", dims=("q", "p"))], [0, 2], "")]
 GROWING += [([Output("a", dims="p", ragged=True), Output("b", dims=("p", "q"), ragged="q")], [2], "several ragged")]
@@ -37,8 +35,6 @@ GROWING += [([Output("b", dims=("q", "p"), ragged="q")], [0], "'a' has no values
 
 
 def results_of(results, folder, outputs=(), **options):
-    """The dataset in which each of some results, by their names, is that of a point."""
-
     @experiment(outputs=outputs)
     def f(case: str):
         return results[case]

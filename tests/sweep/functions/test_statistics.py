@@ -93,7 +93,6 @@ def test_errors_of_quantiles_hold_the_truth_across_a_gap(share, name, n):
 
 
 def two_values(low, high, n):
-    """Realisations (n, n + 1) with every number of the higher of two values."""
     return np.where(np.arange(n)[:, None] < np.arange(n + 1), high, low)
 
 

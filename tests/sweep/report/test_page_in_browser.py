@@ -87,7 +87,6 @@ def complaints(driver):
 
 
 def turn(driver, act, *arguments):
-    """Do what lets the view be drawn again, and wait until it is."""
     before = int(driver.find_element("css selector", "[data-explorer]").get_attribute("data-turn"))
     act(*arguments)
     wait_for_turn(driver, before + 1)

@@ -16,7 +16,6 @@ LABELS = ("epsilon_x", "epsilon_y", "epsilon_z", "omega_x", "omega_y", "omega_z"
 
 
 def tables_of(page):
-    """The tables of a page by caption: rows of text, and of numbers where cells have one."""
     found = {}
     for name, body in re.findall(r"<summary>(.*?) \(\d+ rows?\)</summary>(.*?)</details>", page, re.DOTALL):
         headings = re.findall(r'<th scope="col"><button type="button">(.*?)</button>', body)

@@ -211,7 +211,6 @@ def test_helpers_of_the_same_name_in_two_folders_do_not_mix(tmp_path, pool):
 
 
 def run(folder, axis):
-    """Sweep ``f`` of a layout over an axis in this process."""
     for name in [name for name in sys.modules if name.partition(".")[0] == "pkg" or name.startswith(PREFIX)]:
         del sys.modules[name]  # as in a new process; a session keeps a file that has not changed with what it imported
     importlib.invalidate_caches()

@@ -275,6 +275,8 @@ def test_conditions_of_any_depth_hold_at_each_point_wherever_its_values_come_fro
 
 @pytest.mark.parametrize("axis", [[0, False, 1, True, "no"], [True, 1], [1.0, False]])
 def test_conditions_tell_truth_values_from_numbers(tmp_path, axis):
+    rows = linksweep.run(lambda k: repr(k) + "", tmp_path / "t", points={"k": [*axis, axis[0]]}, pool="serial")
+    assert rows.result.values.tolist() == list(map(repr, [*axis, axis[0]]))
     for number, value in enumerate(axis):
         others = {repr(one) for one in axis if repr(one) != repr(value)}
         axes, store = {"k": axis, "g": [2.0, 3.0]}, tmp_path / str(number)

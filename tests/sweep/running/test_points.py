@@ -1,7 +1,6 @@
 """Tables of points from a study to a store: once each, the bits of a grid, growth, reproduction, labels of rows."""
 
 import json
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -52,15 +51,6 @@ def test_repeated_rows_are_computed_once_and_stand_in_the_table_as_often(tmp_pat
     assert (ds.attrs["points"], ds.attrs["points_done"], ds.attrs["complete"]) == (10, 10, 1)
     assert np.all(ds.status == 1)
     assert xr.open_zarr(tmp_path / "s.zarr").load().y.values.tolist() == expected
-
-
-def test_true_is_another_point_than_one(tmp_path):
-    def seen(flag: Any = 1):
-        return repr(flag)
-
-    assert run(seen, tmp_path / "a.zarr", axes={"flag": [1, True]}).seen.values.tolist() == ["1", "True"]
-    table = run(seen, tmp_path / "t.zarr", points={"flag": [1, True, 1]})
-    assert table.seen.values.tolist() == ["1", "True", "1"]
 
 
 def test_a_table_grows_at_its_end_and_is_refused_where_old_rows_change(tmp_path):

@@ -55,9 +55,7 @@ def test_stopped_anywhere_or_of_a_coarser_precision_it_goes_on_to_the_same_numbe
     assert linksweep.open(tmp_path / "s.zarr").attrs["precision"] == 0.01
 
 
-@pytest.mark.parametrize(
-    ("first", "then"), [(MANY, PRECISE), *((PRECISE, one) for one in ({"n_sim": 100}, MANY, COARSE))]
-)
+@pytest.mark.parametrize(("first", "then"), [(MANY, PRECISE), *((PRECISE, a) for a in ({"n_sim": 100}, MANY, COARSE))])
 def test_a_run_with_other_sampling_takes_nothing_from_the_points_of_a_store(tmp_path, first, then):
     def run(sampling, scatter, store="s.zarr"):
         return linksweep.run(levels, tmp_path / store, axes={"scatter": scatter}, sampling=sampling, pool="serial")
@@ -147,7 +145,6 @@ def stopped(study, store, share, **options):
 
 
 def quasars():
-    """The built-in study, at V = 14 only: seconds."""
     whole = linksweep.load_study("quasars")
     return replace(whole, axes={**whole.axes, "v_max": (14.0,)})
 

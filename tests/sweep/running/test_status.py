@@ -235,9 +235,7 @@ def test_a_notebook_does_not_call_a_run_with_failures_done(tmp_path, monkeypatch
     assert shown[-1].endswith("1/1 points, done")
 
 
-@pytest.mark.parametrize(
-    "pool", [("--pool", "serial"), (), THREADS, slow(("--workers", "2")), slow(LIMITS)], ids=" ".join
-)
+@pytest.mark.parametrize("pool", [("--pool", "serial"), (), THREADS, slow(("--workers", "2")), slow(LIMITS)], ids=str)
 @pytest.mark.parametrize("name", ["never", slow("random_never")])
 def test_a_run_whose_first_points_all_fail_alike_stops_and_goes_on_where_it_stopped(folder, sweep_here, name, pool):
     command = ("run", f"f.py:{name}", "--axis", "x=0:99:1", "-o", "s.zarr", *pool)

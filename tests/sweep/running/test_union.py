@@ -72,7 +72,6 @@ class Sweeps:
         return linksweep.run(f"{self.file}:{self.kind}", store or self.store, **asked, **more, pool="serial", **options)
 
     def run_elsewhere(self, asked, parts):
-        """Run into another store, in so many parts, and merge that with the store."""
         other, both = (self.store.with_name(name) for name in ("other.zarr", "both.zarr"))
         for number in range(1, parts + 1):
             self.run(asked, other, **({"part": f"{number}/{parts}"} if parts > 1 else {}))
@@ -156,7 +155,6 @@ class Sweeps:
 
 
 def in_grid_of(points, some):
-    """Return those of some points, which a store may hold, that are in the grid of others."""
     values = [set(column) for column in zip(*points, strict=True)]
     return {point for point in some if all(v in there for v, there in zip(point, values, strict=True))}
 
@@ -175,7 +173,6 @@ def as_lists(results):
 
 
 def found_in(dataset, constants):
-    """Return the results of the points of a dataset that are done, by their parameters."""
     found, dims = {}, dataset.status.dims
     coords = {name: one for name, one in dataset.coords.items() if one.dims[0] in dims}
     along = {name: (dims.index(one.dims[0]), one.values.tolist()) for name, one in coords.items()}

@@ -95,7 +95,6 @@ def test_one_to_one_is_the_greedy_loop(pairs):
 
 
 def on_grid(points, radius=0.0):
-    """Entries a multiple of an arcsecond apart about ra = 0, many at equal distances, and identifiers of some."""
     x, y, names = np.array(points).T
     return catalogue(positions((x - 6) / 3600.0 % 360.0, y / 3600.0), radius, names)
 

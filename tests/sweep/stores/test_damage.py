@@ -28,7 +28,6 @@ def picture(k: int = 1):
 
 
 def small_chunks(monkeypatch, folder):
-    """Return a study of large arrays, those of eighty values, which are two chunks each."""
     monkeypatch.setattr("linksweep.sweep.contract.rows.MOST_VALUES", 64)
     (folder / "model.py").write_text(MODEL)
     return {"title": "Images", "experiment": f"{folder}/model.py:picture", "axes": {"k": [1, 2, 3, 4]}}

@@ -36,9 +36,7 @@ sigma_pos = "curves.py:positions"
 catalogue = "quasars"
 """
 WRONG = [('"gaia", "small"', '"gaia", "smal"', "axes.model (line 4): model = 'smal': must be one of 'amex', ")]
-WRONG += [
-    ("model.small", "modle.small", "define.modle.small (line 6): unknown parameter 'modle'; did you mean 'model'?")
-]
+WRONG += [("model.small", "modle.small", "define.modle.small (line 6): unknown parameter 'modle'; did you mean 'model")]
 WRONG += [("model.small", "model.gaia", "define.model.gaia (line 6): 'gaia' is there already; take another name")]
 WRONG += [("nominal_length = 3.0", "length = 3.0", "define.model.small.length (line 7): unknown key")]
 WRONG += [("nominal_length = 3.0", "length = 3.0", "define.model.small.nominal_length (line 6): is required")]

@@ -59,9 +59,7 @@ UNREAD += [*(("ra", values, {}, "'ra' does not hold numbers") for values in ([[1
 UNREAD += [("dec_error", ["a"], {}, "'dec_error' does not hold numbers")]
 UNREAD += [*(("ra", values, {"name": name}, f"column '{name}' {NO_UNIT}") for name, values in MAY_BE_HOURS.items())]
 UNREAD += [("dec_error", [1e-6], {"unit": "s"}, "column 'dec_error' is in s, not convertible to mas")]
-UNREAD += [
-    ("ra", [1.0], {"unit": "deg", "stated": "hourangle"}, "ra in hourangle, but column 'ra' is in deg as its file")
-]
+UNREAD += [("ra", [1.0], {"unit": "deg", "stated": "hourangle"}, "ra in hourangle, but column 'ra' is in deg as its")]
 UNREAD += [("ra", [100.0], {"stated": "hurz"}, "units: ra in 'hurz', which is no unit")]
 UNCLEAR = [("ra", ["187d30m00s"], [187.5], {}), ("ra", [1.0, 6.2], np.degrees([1.0, 6.2]), {"name": "RArad"})]
 UNCLEAR += [*(("ra", [1.0, 2.0], [degrees, 2 * degrees], {"unit": unit}) for unit, degrees in UNITS.items())]

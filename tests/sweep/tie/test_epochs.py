@@ -99,7 +99,6 @@ def as_table(fitted, origin, names):
 
 
 def observed(rng, made, further, orbits, names, number=3):
-    """Return positions by VLBI of single epochs, far from that of Gaia."""
     source, size = np.repeat(np.arange(len(names)), number), number * len(names)
     one, epoch = made.taken(source), rng.uniform(2008.0, 2026.0, size)
     values = propagated(one.values, None, one.epoch, epoch)

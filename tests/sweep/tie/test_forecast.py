@@ -42,7 +42,6 @@ def tables(request, tmp_path):
 
 
 def covariance(tables, satellite, sources=(), epochs=EPOCHS):
-    """The formal covariance of the link whose reference has a new position of some sources at each epoch."""
     key = satellite, frozenset(sources), tuple(epochs)
     if key in tables.known:
         return tables.known[key]
@@ -122,7 +121,6 @@ def planned(folder, table, release, **options):
 
 
 def errors_by_hand(folder, table, old, new):
-    """The formal errors with a table whose errors were multiplied and whose epoch was moved by hand."""
     gaia(folder / "scaled.fits", scaled(resting(EPOCH.get(table, 1991.25)), old, new))
     return forecast(folder / "scaled.fits", folder / "reference.fits", "orientation,spin").error.values[0]
 

@@ -14,7 +14,6 @@ N = 12
 
 
 def at(row, value, others=0.1):
-    """A column of a row that differs, counted from 1."""
     return np.where(np.arange(1, N + 1) == row, value, others)
 
 
