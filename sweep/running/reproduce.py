@@ -228,8 +228,8 @@ def place_of(study: Study, at: str, where: str) -> tuple[dict[str, Any], dict[st
         raise SweepError(f"--at {shown(at)}: the study has no point with these values", where)
     along = dict(zip(grid.dimensions, np.unravel_index(there, grid.shape) if grid.shape else (), strict=True))
     for dimension, places in along.items():
-        if len({*places.tolist()}) > 1:
-            values = study.places.get(dimension) or range(len(grid.rows[dimension]))
+        if len({*places.tolist()}) > 1 and dimension not in wanted:  # None may be its value or where it has no effect
+            values = dict.fromkeys(study.places.get(dimension) or range(len(grid.rows[dimension])))
             problems.append(f"--at: {dimension} needs a value, one of {first_of(list(values), MOST_NAMED)}")
     if problems:
         raise SweepError(problems, where)
@@ -247,7 +247,7 @@ def _on_axis(study: Study, name: str, text: str) -> dict[str, Any]:
         raise ValueError(f"{name}: is not an axis{suggest(name, list(study.axes))}")
     parameter = study.experiment.parameter(name)
     value = parameter.parse(parse_value(text, is_text=parameter.kind == "str"))
-    axis = list(study.places[name])
+    axis = list(dict.fromkeys(study.places[name]))
     if all(is_other(value, one) for one in axis):
         if not (hits := meant(axis, value)):
             raise ValueError(f"{name} = {shown(value)}: not on the axis, which has {first_of(plain(axis), MOST_NAMED)}")
