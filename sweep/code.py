@@ -37,10 +37,10 @@ from dataclasses import dataclass, field, fields
 from functools import cache, cached_property, lru_cache, partial
 from importlib.machinery import EXTENSION_SUFFIXES, ModuleSpec, PathFinder
 from importlib.metadata import PackageNotFoundError, packages_distributions, version
-from itertools import accumulate, chain
+from itertools import accumulate, chain, groupby, islice
 from pathlib import Path
 from types import CellType, CodeType, FunctionType, MappingProxyType, MethodType, ModuleType
-from typing import Any, ClassVar, SupportsAbs, TypeVar
+from typing import Any, ClassVar, SupportsAbs
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -109,8 +109,6 @@ DESCRIBING = ("name", "version", "parameters", "outputs", "sample_outputs", "pac
 
 log = logging.getLogger("linksweep")
 
-AnyCode = TypeVar("AnyCode", "LocalFiles", "Live")
-
 # Code by its path or reference and its digest, also what another process has sent: the file may be missing here, or be
 # another. Without a digest: as this process has it now.
 _codes: dict[tuple[str, str | None], "LocalFiles | Live"] = {}
@@ -121,7 +119,12 @@ unparsed = lru_cache(maxsize=4096)(ast.unparse)
 
 
 def without_package(text: str) -> str:
-    """Return a text without the packages of local modules, whose names differ from version to version."""
+    """Return a text without the packages of local modules, whose names differ from version to version, and with the
+    name by which others import the module that `python -m` executes.
+    """
+    spec = getattr(sys.modules.get("__main__"), "__spec__", None) if "__main__" in text else None
+    if spec and distributions_at(spec.origin, spec.name.partition(".")[0]) is None:  # else that executes a script
+        text = re.sub(r"(?<![\w.'\"/])__main__\b", spec.name, text)
     return re.sub(rf"{PREFIX}\w*\.?", "", text) if PREFIX in text else text
 
 
@@ -185,7 +188,8 @@ class Reach:
 
     ``parts`` has the digest or a short form of each function, class, value and distribution, by its kind and name;
     ``places`` the file and line of what is in a file; ``unnoticed`` the types of values that have no canonical form, by
-    name; ``modules`` the user's modules among them.
+    name; ``modules`` the user's modules among them; ``acting`` those that act on others while they are imported, in the
+    order in which they do.
     """
 
     def __init__(self, roots: Mapping[str, Any], changed: Collection[str] | None = None) -> None:
@@ -197,6 +201,8 @@ class Reach:
         self.unnoticed: dict[str, str] = {}
         self.statements: dict[str, str] = {}
         self.modules: dict[str, ModuleType] = {}
+        # The modules that act while a module is imported, or import others, in turn; also itself.
+        self._steps: dict[str, list[str]] = {}
         # Closures of one function, or functions that a decorator has made, have one label.
         self._texts: dict[str, set[str]] = defaultdict(set)
         # Whose form is made, and whether any of it is left out.
@@ -212,6 +218,10 @@ class Reach:
             self._through = through
             add(*what)
         self.unnoticed.pop("", None)  # of wrappers that libraries made
+        # First from the module of the roots; what functions import has no order.
+        modules = [*islice(self._steps, 1), *sorted(self._steps, key=without_package)]
+        self.acting = [name for name, _ in groupby(chain.from_iterable(map(self._executed, modules)))]
+        self._keep("order of modules", ", ".join(self.acting) if len(self.acting) > 1 else "")
         texts = {label: ", ".join(sorted(some)) for label, some in self._texts.items()}
         self.parts = {k: v if len(v) <= LONGEST and v.isprintable() else digest_of(v) for k, v in texts.items()}
 
@@ -348,17 +358,22 @@ class Reach:
         """Add what the user's module does to others while it is imported."""
         name, file = module.__name__, getattr(module, "__file__", None) or ""
         self.modules[name] = module
-        if package := name.rpartition(".")[0]:  # is imported before
-            self._is_users(package)
+        steps = self._steps[name] = [name.rpartition(".")[0]]  # its package is imported before
+        self._is_users(steps[0])
         if file.endswith(EXTENSIONS):
             self._keep(f"file {Path(file).name}", digest_of(Path(file).read_bytes()))
         tree = tree_of(file, vars(module))
-        self._imports(_at_import(tree), vars(module))
         acts = [one for one in tree.body if _is_act(one, vars(module))]
+        for one in tree.body:
+            steps += self._imports(_at_import(one), vars(module)) + ([name] if one in acts else [])
         for one in (one for one in acts if isinstance(one, DEFINITIONS)):  # so that a message can name it
             self._code(vars(module)[one.name])
-        if acts:
-            self._keep(f"module {name}", self._text(acts, vars(module)))
+        self._keep(f"module {name}", self._text(acts, vars(module)))
+
+    def _executed(self, module: str) -> Iterator[str]:
+        """Yield the modules of which statements act on others while this one is imported, in their order."""
+        for name in self._steps.pop(module, ()):
+            yield from [module] if name == module else self._executed(name)
 
     def _whole(self, module: ModuleType) -> None:
         for name, value in list(vars(module).items()):
@@ -382,13 +397,13 @@ class Reach:
             forms = [form for one in around if (form := self._form(one, {})) and type(one) in PLAIN]
             self._keep(f"function {label}", ", ".join(forms))
             return
-        values, nodes = function.__defaults__ or (), list[ast.AST](definitions_of(function))
+        values, nodes = function.__defaults__ or (), list[Any](definitions_of(function))
         by_name = dict(zip(code.co_varnames[code.co_argcount - len(values) :], values, strict=False))
         by_name |= {name: value for name, value in vars(function).items() if not name.startswith("__")}
         text = "".join(self._refer(f"{label}.{k}", v) for k, v in (by_name | (function.__kwdefaults__ or {})).items())
         text += "".join(self._refer(f"{k} of {label}", v, names) for k, v in _closure(function).items())
         if nodes:
-            self.places[f"function {label}"] = f"{code.co_filename}, line {code.co_firstlineno}"
+            self.places[f"function {label}"] = f"{code.co_filename}, line {nodes[0].lineno}"
             if function.__name__ not in MAKING:
                 changes = [name for node in nodes for name in _changes(node)]
                 self._changes.append((function.__name__, {home_of(one, names, names.get(one))[0] for one in changes}))
@@ -453,7 +468,7 @@ class Reach:
         for one in inside:
             with suppress(Exception):  # raised again by the function where it is called
                 if isinstance(one, IMPORTS):
-                    if True in [self._is_users(module.partition(".")[0]) for module in modules(one, package)]:
+                    if True in [self._is_users(module.partition(".")[0]) for module, _ in names_of(one, package)]:
                         exec(unparsed(one), {"__package__": package}, bound)
                 elif isinstance(one, ast.Call) and unparsed(one.func).endswith(("import_module", "__import__")):
                     name = importlib.util.resolve_name(ast.literal_eval(one.args[0]), package)
@@ -461,20 +476,18 @@ class Reach:
         self._imports(inside, names)
         return bound
 
-    def _imports(self, nodes: Iterable[ast.AST], names: Names) -> None:
-        """Follow the user's modules that some code imports, for what they do meanwhile."""
-        for one in (one for one in nodes if isinstance(one, IMPORTS)):
-            for module, alias in zip(modules(one, names.get("__package__")), one.names, strict=False):
-                for name in (module, f"{module}.{alias.name}"):
-                    if distributions_of(name) is None:
-                        self._is_users(name)
+    def _imports(self, nodes: Iterable[ast.AST], names: Names) -> list[str]:
+        """Follow the user's modules that some code imports, for what they do meanwhile, and return them."""
+        pairs = [pair for one in nodes if isinstance(one, IMPORTS) for pair in names_of(one, names.get("__package__"))]
+        every = [name for module, alias in pairs for name in (module, f"{module}.{alias.name}")]
+        return [name for name in every if distributions_of(name) is None and self._is_users(name)]
 
 
-def modules(node: ast.Import | ast.ImportFrom, package: str | None) -> list[str]:
-    """Return the modules that a statement in a package imports, or imports from, for each of its names."""
+def names_of(node: ast.Import | ast.ImportFrom, package: str | None) -> list[tuple[str, ast.alias]]:
+    """Return the names that a statement in a package imports, each with the module that it is, or is from."""
     base = f"{'.' * node.level}{node.module or ''}" if isinstance(node, ast.ImportFrom) else ""
     with suppress(ImportError):  # raised again where it is executed
-        return [importlib.util.resolve_name(base or alias.name, package) for alias in node.names]
+        return [(importlib.util.resolve_name(base or alias.name, package), alias) for alias in node.names]
     return []
 
 
@@ -483,7 +496,7 @@ def home_of(name: str, names: Names, value: Any, hops: int = 9) -> tuple[str, Na
     if hops and distributions_of(names.get("__name__")) is None:
         index = _index(tree_of(names.get("__file__") or "", names))
         for node in index[ast.ImportFrom]:
-            for module, alias in zip(modules(node, names.get("__package__")), node.names, strict=False):
+            for module, alias in names_of(node, names.get("__package__")):
                 original = name if alias.name == "*" and not index[name] else alias.name
                 there = getattr(sys.modules.get(module), "__dict__", {})
                 if name == (alias.asname or original) and there.get(original, index) is value:
@@ -527,19 +540,30 @@ def definitions_of(function: FunctionType) -> Sequence[Function]:
     Raises SweepError where its file has changed since it was imported: what it computes is no longer what is there.
     """
     code, names = function.__code__, function.__globals__
+    line = code.co_firstlineno
     # Only files that are younger than this process are compared: code objects of others may differ from those that
     # are compiled here, as pytest and coverage change what they import.  A cell of a notebook has no file.
     with suppress(OSError):
-        is_younger = TREE not in names and os.stat(code.co_filename).st_mtime > _BEGAN
-        if is_younger and code not in _compiled(Path(code.co_filename).read_bytes(), code.co_filename):
-            why = "has changed since it was imported: import it again, or start a new session"
-            raise SweepError(why, code.co_filename)
-    return _index(tree_of(code.co_filename, names))[code.co_firstlineno, code.co_name]
+        if TREE not in names and os.stat(code.co_filename).st_mtime > _BEGAN:
+            if not (lines := _lines_of(Path(code.co_filename).read_bytes()).get(_unplaced(code))):
+                why = "has changed since it was imported: import it again, or start a new session"
+                raise SweepError(why, code.co_filename)
+            line = line if line in lines else lines[0]  # a notebook that reloads compiles a function by itself
+    return _index(tree_of(code.co_filename, names))[line, code.co_name]
 
 
 @lru_cache(maxsize=64)
-def _compiled(text: bytes, filename: str) -> frozenset[CodeType]:
-    return frozenset(_inside(compile(text, filename, "exec", dont_inherit=True)))
+def _lines_of(text: bytes) -> Mapping[CodeType, list[int]]:
+    """Return the lines in which each code of a file begins."""
+    lines = defaultdict[CodeType, list[int]](list)
+    for code in _inside(compile(text, "", "exec", dont_inherit=True)):
+        lines[_unplaced(code)].append(code.co_firstlineno)
+    return lines
+
+
+def _unplaced(code: CodeType) -> CodeType:
+    inner = tuple(_unplaced(one) if isinstance(one, CodeType) else one for one in code.co_consts)
+    return code.replace(co_consts=inner, co_firstlineno=1, co_linetable=b"", co_flags=0)
 
 
 def _inside(code: CodeType) -> Iterator[CodeType]:
@@ -729,7 +753,7 @@ def _imported(name: str, file: str, content: bytes) -> Iterator[str]:
     with suppress(SyntaxError, ValueError, RecursionError):  # reported when the file is executed
         nodes = list(ast.walk(ast.parse(content))) if file.endswith(".py") else []
     for node in (node for node in nodes if isinstance(node, IMPORTS)):
-        for module, alias in zip(modules(node, f".{package}"), node.names, strict=False):
+        for module, alias in names_of(node, f".{package}"):
             parts = f"{module}.{alias.name}".strip(".").split(".")
             yield from accumulate(parts, "{}.{}".format) if parts[0] != OURS else ()
 
@@ -740,6 +764,7 @@ class Live:
     def __init__(self, value: Callable[..., Any] | Experiment) -> None:
         self.value, self.reach = value, _reach(value)
         self.parts, self.digest, self.paths = self.reach.parts, _digest(self.reach), sys.path
+        self.acting = self.reach.acting
         self.name = value.name if isinstance(value, Experiment) else name_of(value)
         self.path = _importable(value) or f"{SESSION}:{self.name}-{self.digest}"
 
@@ -775,9 +800,8 @@ class Live:
         vars(self).update(state)
         # Where this session finds what the function imports when it is called.
         sys.path += [path for path in self.paths if path not in sys.path]
-        for name in self.parts:
-            if name.startswith("module ") and name != "module __main__":  # acts on others while it is imported
-                importlib.import_module(name.removeprefix("module "))
+        for name in self.acting:
+            importlib.import_module(name)
         self.value = pickle.loads(self.pickled)
 
 
@@ -869,7 +893,7 @@ def _require(is_wanted: bool, wanted: str, reference: str, value: object) -> Non
 
 def keep(function: Callable[..., Any] | Experiment) -> str:
     """Make a function available in this process, as it is now, by the reference that is returned."""
-    return _remember(Live(function)).path
+    return str(_remember(Live(function)).path)
 
 
 def _importable(function: Callable[..., Any] | Experiment) -> str | None:
@@ -882,7 +906,7 @@ def _importable(function: Callable[..., Any] | Experiment) -> str | None:
     return f"{Path(file).resolve() if is_beside else module.__name__}:{name}"
 
 
-def _remember(code: AnyCode) -> AnyCode:
+def _remember(code: Any) -> Any:
     parts_of.cache_clear()
     _codes[code.path, None] = code
     provide(code)
@@ -979,10 +1003,8 @@ def code_of(reference: str, experiment: Experiment, digest: str | None = None) -
     if place.partition(".")[0] != OURS or distributions_of(place) != ():
         code |= parts_of(reference, digest or source_digest(reference))
         code |= {f"default of {p.name}": json.dumps(p.written_default(), default=str) for p in experiment.parameters}
-    packages = {name for name in code if name.startswith("package ")} | {
-        f"package {one}" for one in experiment.packages
-    }
-    return code | {name: version_of(name.removeprefix("package ")) for name in packages}  # of this process
+    packages = [name.removeprefix("package ") for name in code if name.startswith("package ")]
+    return code | {f"package {name}": version_of(name) for name in (*packages, *experiment.packages)}  # of this process
 
 
 @lru_cache(maxsize=64)  # the attributes of modules count as they are when a run starts

@@ -7,8 +7,9 @@ import inspect
 import sys
 import types
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
-from typing import Annotated, Any, Literal, TypeGuard, TypeVar, Union, cast, get_args, get_origin
+from typing import Annotated, Any, Final, Literal, TypeGuard, TypeVar, Union, cast, get_args, get_origin
 
 import numpy as np
 from numpy.typing import NDArray
@@ -143,33 +144,31 @@ def _read_signature(function: Callable[..., Any], problems: list[str]) -> "Funct
         problems.append(f"is a class, a NumPy ufunc, async or a generator; {wrap}")
     arguments: Mapping[str, inspect.Parameter] = {}
     try:
-        arguments = {} if problems else inspect.signature(function, eval_str=True).parameters
-    except NameError as error:
-        problems.append(f"an annotation cannot be read: {error}")
+        arguments = {} if problems else inspect.signature(function).parameters
     except (ValueError, TypeError):
         problems.append(f"Python cannot read its signature; {wrap}")
     if (first := next(iter(arguments), "")) in ("self", "cls") and "." in getattr(function, "__qualname__", ""):
         problems.append(f"is a method and takes {first}; give the method of an object, thing.{name}")
         arguments = {}
-    parameters, rng = [], RNG in arguments
+    parameters, rng, names = [], RNG in arguments, getattr(inspect.unwrap(call), "__globals__", {})
     for argument in arguments.values():
         if argument.kind not in (argument.POSITIONAL_OR_KEYWORD, argument.KEYWORD_ONLY):
             problems.append(f"{argument} is {argument.kind.description}, and parameters are given by name; {wrap}")
         elif argument.name != RNG and not (rng and argument.name == N_SIM):
             try:
-                parameters.append(_parameter(argument))
+                parameters.append(_parameter(argument, names))
             except ValueError as error:
                 problems.append(str(error))
     made = _undeclared(name, tuple(parameters), (), rng)
     return replace(made, call=function, takes_n_sim=rng and N_SIM in arguments)
 
 
-def _parameter(argument: inspect.Parameter) -> Parameter:
-    """Return the parameter of one argument; raises ValueError.
+def _parameter(argument: inspect.Parameter, names: Mapping[str, Any]) -> Parameter:
+    """Return the parameter of one argument, of a function of a module with these names; raises ValueError.
 
     Its default is None where that of the argument is no value that a study can write: then the call leaves it out.
     """
-    name, annotation = argument.name, argument.annotation
+    name, annotation = argument.name, _annotation(argument, names)
     required = argument.default is argument.empty
     default = None if required else argument.default
     if isinstance(default, np.generic):
@@ -184,9 +183,9 @@ def _parameter(argument: inspect.Parameter) -> Parameter:
         kind = "any" if default is None else KINDS.get(type(default))
     else:
         kind, choices = _kind(annotation)
-    optional = type(None) in get_args(annotation) or (default is None and not required)
-    optional |= kind == "any" and annotation in (argument.empty, Any)
-    kind = kind or "object"
+    optional = any(one in (None, type(None)) for one in get_args(annotation)) or (default is None and not required)
+    optional |= kind == "any" and annotation in (argument.empty, Any, object)
+    kind = kind or ("object" if default is None or type(default) not in KINDS else "any")
     if default is not None and type(default) not in KINDS:
         kind, default, optional = "object" if annotation is argument.empty else kind, None, False
     if kind == "float" and type(default) is int:  # the digest of a point with 1 would differ from that with 1.0
@@ -205,15 +204,33 @@ def _parameter(argument: inspect.Parameter) -> Parameter:
     )
 
 
+def _annotation(argument: inspect.Parameter, names: Mapping[str, Any]) -> Any:
+    """Return the annotation of an argument, also one that is written as a text; raises ValueError."""
+    annotation = argument.annotation
+    try:
+        for _ in range(2):  # a text in a text, as `from __future__ import annotations` makes it
+            annotation = eval(annotation, dict(names)) if isinstance(annotation, str) else annotation
+    except Exception as error:  # whatever a text is
+        text = f"parameter {argument.name!r}: its annotation {shown(annotation)} cannot be read"
+        raise ValueError(f"{text}: {error}") from error
+    return annotation
+
+
 def _kind(annotation: Any) -> tuple[Kind | None, tuple[Any, ...]]:
     """Return the kind of parameter that an annotation means, None for none, and its choices."""
-    choices: tuple[Any, ...] = ()
+    origin, args, choices = get_origin(annotation), get_args(annotation), tuple[Any, ...]()
     kinds: set[Kind | None]
-    if get_origin(annotation) is Literal:
-        choices = get_args(annotation)
+    if isinstance(annotation, TypeVar):
+        args = annotation.__constraints__ or (annotation.__bound__ or Any,)
+    elif hasattr(annotation, "__supertype__"):
+        args = (annotation.__supertype__,)
+    elif origin is Annotated:
+        args = args[:1]
+    if origin is Literal:
+        choices = tuple(one for one in args if one is not None)
         kinds = {KINDS.get(type(choice)) for choice in choices}
-    elif get_origin(annotation) in (Union, types.UnionType):
-        parts = [_kind(part) for part in get_args(annotation) if part is not type(None)]
+    elif args and origin in (Union, types.UnionType, Annotated, Final, None):
+        parts = [_kind(part) for part in args if part is not type(None)]
         kinds = {kind for kind, _ in parts}  # without None, of which `Parameter.optional` tells
         if kinds == {"int", "float"}:
             return "float", ()
@@ -222,6 +239,9 @@ def _kind(annotation: Any) -> tuple[Kind | None, tuple[Any, ...]]:
         kinds = {kind for one, kind in KINDS.items() if annotation is one}
         if isinstance(annotation, type):
             kinds |= {kind for base, kind in NUMPY_KINDS.items() if issubclass(annotation, base)}
+            with suppress(TypeError):  # of a protocol that nothing can be compared with
+                takes_numbers = any(issubclass(one, annotation) for one in (int, np.float64, complex))
+                kinds = kinds or {"any" if takes_numbers else None}
     if not kinds or kinds == {None}:
         return None, ()
     return (kinds.pop() if len(kinds) == 1 else "any"), choices

@@ -2,8 +2,10 @@
 
 import functools
 import math
+import numbers
+from collections.abc import Hashable
 from dataclasses import replace
-from typing import Annotated, Literal
+from typing import Annotated, AnyStr, Final, Literal, NewType, SupportsFloat, TypeVar
 
 import numpy as np
 import pytest
@@ -61,6 +63,26 @@ def test_name_type_default_unit_meaning_and_bounds():
             load_study(f"{__file__}:several", [f"{name}={wrong}"], [] if name == "beta" else ["beta=1"])
 
 
+Mass = NewType("Mass", float)
+REAL = TypeVar("REAL", bound=float)
+CHOICE = Literal[2.0, "a", None]
+NUMBERS = [object, numbers.Real, numbers.Rational, Mass, Mass | int, "Mass", "'float'", REAL, AnyStr, Final[Mass]]
+NUMBERS += [SupportsFloat, Hashable, complex, np.number, CHOICE]
+
+
+@pytest.mark.parametrize("annotation", NUMBERS, ids=str)
+def test_what_may_be_a_number_can_be_one(annotation, tmp_path):
+    def double(x=2.0):
+        return -1.0 if x is None else 2 * x
+
+    double.__annotations__["x"] = annotation
+    axes = {"x": [2.0, None] if annotation in (object, CHOICE) else [2.0]}
+    for how in ({"axes": axes}, {}):
+        ds = run(double, tmp_path / "s.zarr", pool="serial", fresh=True, **how)
+        assert ds.double.values.flat[0] == 4.0
+        assert (ds.status == 1).all()
+
+
 class Thing:
     def method(self, x: float):
         return x
@@ -76,7 +98,12 @@ def odd(x: list, y: complex):
     return 1.0
 
 
+def measured(x: "number of stars" = 1):  # noqa: F722
+    return x
+
+
 REFUSED = [
+    (measured, "function measured: parameter 'x': its annotation 'number of stars' cannot be read: invalid syntax"),
     *((math.sin, "x is positional-only"), (lambda *args: 1, r"\*args is variadic"), (max, "its signature|is variadic")),
     *((lambda **options: 1, r"\*\*options is variadic"), (np.hypot, "a NumPy ufunc.*wrap it in a function")),
     *((Thing, "is a class"), (Thing.method, "is a method and takes self")),

@@ -1,8 +1,10 @@
 """A store made by other code is refused, continued on request, or replaced; the same code in any words is not."""
 
+import functools
 import importlib
 import json
 import re
+import runpy
 import subprocess
 import sys
 
@@ -281,6 +283,62 @@ def test_a_value_counts_where_it_is_bound_whoever_imports_it(tmp_path, sweep, st
         code, _, err = sweep("run", "main.py:f", "--axis", "x=1", "-o", "s.zarr", cwd=tmp_path)
         assert code == expected, err
     assert f"value m.V ({tmp_path}/m.py, line 2)" in err
+
+
+def test_a_function_that_a_notebook_reloads_by_itself_is_that_of_its_file(tmp_path, monkeypatch):
+    (tmp_path / "reloaded.py").write_text("def g(x: int):\n    return [y for y in (x,)]\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    g, new, names = importlib.import_module("reloaded").g, "def g(x: int):\n    return [3 * y for y in (x,)]\n", {}
+    run = functools.partial(linksweep.run, lambda x: g(x)[0], tmp_path / "s.zarr", axes={"x": [1, 2]}, pool="serial")
+    (tmp_path / "reloaded.py").write_text(f"# one\n# two\n{new}")
+    with pytest.raises(linksweep.SweepError, match="has changed since it was imported"):
+        run()
+    exec(compile(new, g.__code__.co_filename, "exec"), names)  # as IPython's autoreload
+    g.__code__ = names["g"].__code__
+    assert run().result.values.tolist() == [3, 6]
+
+
+EXECUTED = """
+import enum
+import linksweep
+K = {"k": 2}
+class Colour(enum.Enum):
+    RED, BLUE = 1, 2
+def f(c, x: int):
+    return c.value * x * K["k"]
+def run(n):
+    return linksweep.run(f, "s.zarr", axes={"c": list(Colour), "x": list(range(n))}, pool="serial").f.values.sum()
+if __name__ == "__main__":
+    first = run(3)
+"""
+
+
+def test_a_module_is_the_same_code_where_python_executes_it(tmp_path, monkeypatch):
+    (tmp_path / "executed.py").write_text(EXECUTED)
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    for _ in range(2):
+        assert runpy.run_module("executed", run_name="__main__", alter_sys=True)["first"] == 18
+        assert importlib.import_module("executed").run(4) == 36
+
+
+ACTS = {  # what acts on others, in which file
+    "set_a.py": "import decimal\ndecimal.getcontext().prec = 4\n",
+    "set_b.py": "import decimal\ndecimal.getcontext().prec = 8\n",
+    "by_b.py": "import set_b\n",
+}
+
+
+@pytest.mark.parametrize("last", ["import set_b", slow("import by_b"), "decimal.getcontext().prec = 9"])
+def test_the_order_counts_in_which_modules_act_on_others(tmp_path, sweep, last):
+    for name, text in ACTS.items():
+        (tmp_path / name).write_text(text)
+    lines = ["import set_a", last]
+    for imports, expected in ((lines, 0), (["import sys", *lines], 0), (lines[::-1], 2)):
+        text = "\n".join(["import decimal", *imports, "def f(x: int):", "    return float(decimal.Decimal(x) / 7)"])
+        (tmp_path / "m.py").write_text(text)
+        code, _, err = sweep("run", "m.py:f", "--axis", "x=1,2", "-o", "s.zarr", cwd=tmp_path)
+        assert (code, "order of modules is" in err) == (expected, expected == 2), err
 
 
 def test_what_has_no_canonical_form_is_named_once_and_declared_files_count(tmp_path, sweep):
