@@ -23,7 +23,7 @@ from linksweep.sweep.studies.study import POINT
 # the default for points of a table or design if an axis has at least so many values.
 MAP_POINTS, MAP_PANELS, CURVE_POINTS = 5, 6, 8
 
-_DATE = re.compile(r"\d{4}-\d\d-\d\d([T ][\d:.]+)?")
+_DATE = re.compile(r"\d{4}-\d\d-\d\d([T ]\d\d(:\d\d(:\d\d(\.\d+)?)?)?)?")
 
 MOST_PANELS = 6  # that a description names
 MOST_RANGES = 3  # quantities or components whose ranges a caption gives
@@ -98,9 +98,9 @@ def _titled(result: Result, kind: str) -> Figure:
 
 
 def _study_figure(dataset: xr.Dataset, kind: str | None, variables: list[str], over: Sequence[str]) -> Figure:
-    dataset = _with_dates(dataset)
     if not (kind or variables or over):
         dataset, kind, variables, over = _as_its_study_says(dataset)
+    dataset = _with_dates(dataset)
     single = [d for d in dataset["status"].dims if dataset.sizes[d] == 1]
     one_point = len(single) == dataset["status"].ndim
     only_samples = one_point and not variables and not any(name in dataset.coords for name in over)
@@ -139,7 +139,7 @@ def _with_dates(dataset: xr.Dataset) -> xr.Dataset:
     for name, texts in dataset.coords.items():
         if texts.ndim == 1 and texts.size and all(_DATE.fullmatch(str(text)) for text in texts.values):
             with suppress(ValueError):  # such as the 31st of February
-                dataset = dataset.assign_coords({name: texts.astype("datetime64[ns]")})
+                dataset = dataset.assign_coords({name: texts.astype("datetime64[us]")})  # ns end in 2262
     return dataset
 
 

@@ -189,18 +189,15 @@ def _panels(
 def one_axis(dataset: xr.Dataset, variable: str, over: Sequence[str]) -> str:
     """Return the axis to draw along: the one asked for, or the longest numeric one, or the longest."""
     numeric = quantity.numeric_axes(dataset, variable, "ifM")
-    axes = [str(n) for n, c in dataset.coords.items() if c.ndim == 1 and c.dims[0] in _ordered(dataset)] + numeric
+    grid = {*dataset["status"].dims} - {POINT}
+    axes = [str(n) for n, c in dataset.coords.items() if c.ndim == 1 and c.dims[0] in grid] + numeric
     # names of components only if they are asked for or alone
     own = [d for d in quantity.own_dimensions(dataset, variable) if d in dataset.coords]
     axes += own if over or not axes else []
     if over and (len(over) > 1 or over[0] not in axes):
-        raise SweepError(f"{', '.join(over)} is not one axis to draw along; there are {', '.join(dict.fromkeys(axes))}")
+        known = ", ".join(dict.fromkeys(axes)) or "none"
+        raise SweepError(f"{', '.join(over)} is not one axis to draw along; there are {known}")
     return over[0] if over else (numeric or sorted(axes, key=lambda n: -dataset[n].size))[0]
-
-
-def _ordered(dataset: xr.Dataset) -> list[str]:
-    """Return the dimensions of the grid, except that of a table of points."""
-    return [str(d) for d in dataset["status"].dims if d != POINT]
 
 
 def _lines_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:

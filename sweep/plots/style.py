@@ -264,6 +264,8 @@ def with_chosen_component(dataset: xr.Dataset) -> xr.Dataset:
 
 def value_text(dataset: xr.Dataset, axis: str, value: Any) -> str:
     """Return a value of an axis as a legend names it."""
+    if dataset[axis].dtype.kind == "M":
+        return str(value).replace("T", " ")
     if isinstance(value, str) and value.lower() not in ("", "none") and not _NUMBER.fullmatch(value):
         symbols = json.loads(dataset[axis].attrs.get("symbols", "{}"))
         is_name = f"{axis}_unit" in dataset.coords or ("_" in value and _NAME.fullmatch(value))

@@ -1,5 +1,6 @@
 """Figures that say nothing untrue, whose letters have their size and whose parts do not cover each other."""
 
+import json
 from itertools import combinations, pairwise
 
 import numpy as np
@@ -206,12 +207,20 @@ def test_a_series_over_days_is_a_line_over_days(tmp_path):
         linksweep.find(ds, "height > 0", over="day")
 
 
-@pytest.mark.parametrize("kind", ["axes", "points"])
-def test_an_axis_of_dates_has_their_distances(tmp_path, kind):
-    days = np.array(["2024-01-01", "2024-01-03", "2024-06-01"], dtype="datetime64[D]")
+@pytest.mark.parametrize(("kind", "year"), [("axes", 2024), ("points", 2024), ("axes", 1600)])
+def test_an_axis_of_dates_has_their_distances(tmp_path, kind, year):
+    days = [f"{year}-01-01", f"{year}-01-03", f"{year}-06-01"]
     ds = linksweep.run(lambda day: float(day > days[0]), tmp_path / "s.zarr", **{kind: {"day": days}}, pool="serial")
     [axes] = linksweep.plot(ds).axes
     assert np.diff(axes.lines[0].get_xdata()).tolist() == [2.0, 150.0]
+
+
+def test_a_study_names_a_date_of_its_figure_and_a_legend_its_times(tmp_path):
+    axes = {"day": ["2024-01-01", "2024-01-03"], "start": ["2024-01-01 06:30", "2024-01-01 18:00"], "n": [1, 2, 3]}
+    ds = linksweep.run(lambda day, start, n: n + len(day + start), tmp_path / "s.zarr", axes=axes, pool="serial")
+    figure = json.dumps({"figure": {"at": {"day": "2024-01-03"}, "over": ["n"]}})
+    [panel] = linksweep.plot(ds.assign_attrs(study_document=figure)).axes
+    assert set(axes["start"]) <= set(panel.get_legend_handles_labels()[1])
 
 
 @pytest.mark.parametrize("value", [2.5, xr.DataArray([1.0, -2.0, 3.0], {"band": ["U", "B", "V"]})])
