@@ -101,13 +101,10 @@ STATEMENT = "statement "
 # Stands in place of a module in the reference of a function that only this session has.
 SESSION = "session"
 
-EXTENSIONS = tuple(EXTENSION_SUFFIXES)
-SUFFIXES = ("/__init__.py", *EXTENSIONS, ".py")  # as Python prefers them
+SUFFIXES = ("/__init__.py", *EXTENSION_SUFFIXES, ".py")  # as Python prefers them
 DIGEST = re.compile("(^| )[0-9a-f]{12}( |$)")
 # Fields of an experiment that its code does not depend on, or that count by themselves.
 DESCRIBING = ("name", "version", "parameters", "outputs", "sample_outputs", "packages", "citation", "outer_draw")
-
-log = logging.getLogger("linksweep")
 
 # Code by its path or reference and its digest, also what another process has sent: the file may be missing here, or be
 # another. Without a digest: as this process has it now.
@@ -360,7 +357,7 @@ class Reach:
         self.modules[name] = module
         steps = self._steps[name] = [name.rpartition(".")[0]]  # its package is imported before
         self._is_users(steps[0])
-        if file.endswith(EXTENSIONS):
+        if file.endswith(tuple(EXTENSION_SUFFIXES)):
             self._keep(f"file {Path(file).name}", digest_of(Path(file).read_bytes()))
         tree = tree_of(file, vars(module))
         acts = [one for one in tree.body if _is_act(one, vars(module))]
@@ -1045,7 +1042,7 @@ def _read_by(value: Any) -> dict[str, Path]:
 
 @cache  # a process says it once
 def _warn(sentence: str) -> None:
-    log.warning("%s", sentence)
+    logging.getLogger("linksweep").warning("%s", sentence)
 
 
 def _digest(reached: Reach) -> str:

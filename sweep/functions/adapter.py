@@ -224,12 +224,10 @@ def _kind(annotation: Any) -> tuple[Kind | None, tuple[Any, ...]]:
         args = annotation.__constraints__ or (annotation.__bound__ or Any,)
     elif hasattr(annotation, "__supertype__"):
         args = (annotation.__supertype__,)
-    elif origin is Annotated:
-        args = args[:1]
     if origin is Literal:
         choices = tuple(one for one in args if one is not None)
         kinds = {KINDS.get(type(choice)) for choice in choices}
-    elif args and origin in (Union, types.UnionType, Annotated, Final, None):
+    elif args and origin in (Union, types.UnionType, Final, None):
         parts = [_kind(part) for part in args if part is not type(None)]
         kinds = {kind for kind, _ in parts}  # without None, of which `Parameter.optional` tells
         if kinds == {"int", "float"}:
@@ -240,8 +238,7 @@ def _kind(annotation: Any) -> tuple[Kind | None, tuple[Any, ...]]:
         if isinstance(annotation, type):
             kinds |= {kind for base, kind in NUMPY_KINDS.items() if issubclass(annotation, base)}
             with suppress(TypeError):  # of a protocol that nothing can be compared with
-                takes_numbers = any(issubclass(one, annotation) for one in (int, np.float64, complex))
-                kinds = kinds or {"any" if takes_numbers else None}
+                kinds |= {"any" for one in (int, np.float64, complex) if not kinds and issubclass(one, annotation)}
     if not kinds or kinds == {None}:
         return None, ()
     return (kinds.pop() if len(kinds) == 1 else "any"), choices
