@@ -29,6 +29,11 @@ WRONG = [  # what is declared of which function, and what is said of it
     ({"outputs": [replace(RAGGED, dims="s", coords={"s": [1, 2]})]}, lambda x: [x], "return its coordinate as another"),
     ({"outputs": [RAGGED]}, lambda x, rng: [x], "ragged: statistics of realisations need one length"),
 ]
+Mass = NewType("Mass", float)
+REAL = TypeVar("REAL", bound=float)
+CHOICE = Literal[2.0, "a", None]
+NUMBERS = [object, numbers.Real, numbers.Rational, Mass, Mass | int, "Mass", "'float'", REAL, AnyStr, Final[Mass]]
+NUMBERS += [SupportsFloat, Hashable, complex, np.number, CHOICE]
 
 
 def several(
@@ -61,13 +66,6 @@ def test_name_type_default_unit_meaning_and_bounds():
     for name, wrong in (("order", "3"), ("order", "true"), ("solver", "RK"), ("n", "0.5"), ("n", 2**63), ("beta", "0")):
         with pytest.raises(SweepError, match=f"{name} = .*must be"):
             load_study(f"{__file__}:several", [f"{name}={wrong}"], [] if name == "beta" else ["beta=1"])
-
-
-Mass = NewType("Mass", float)
-REAL = TypeVar("REAL", bound=float)
-CHOICE = Literal[2.0, "a", None]
-NUMBERS = [object, numbers.Real, numbers.Rational, Mass, Mass | int, "Mass", "'float'", REAL, AnyStr, Final[Mass]]
-NUMBERS += [SupportsFloat, Hashable, complex, np.number, CHOICE]
 
 
 @pytest.mark.parametrize("annotation", NUMBERS, ids=str)

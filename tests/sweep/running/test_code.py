@@ -88,6 +88,24 @@ for k in (1, 2):
         ds = linksweep.run(f, f"s{k}.zarr", axes={"x": axis}, fixed={"k": k}, pool="serial")
         results[k] = ds
 """
+EXECUTED = """
+import enum
+import linksweep
+K = {"k": 2}
+class Colour(enum.Enum):
+    RED, BLUE = 1, 2
+def f(c, x: int):
+    return c.value * x * K["k"]
+def run(n):
+    return linksweep.run(f, "s.zarr", axes={"c": list(Colour), "x": list(range(n))}, pool="serial").f.values.sum()
+if __name__ == "__main__":
+    first = run(3)
+"""
+ACTS = {  # what acts on others, in which file
+    "set_a.py": "import decimal\ndecimal.getcontext().prec = 4\n",
+    "set_b.py": "import decimal\ndecimal.getcontext().prec = 8\n",
+    "by_b.py": "import set_b\n",
+}
 
 
 @pytest.fixture
@@ -298,21 +316,6 @@ def test_a_function_that_a_notebook_reloads_by_itself_is_that_of_its_file(tmp_pa
     assert run().result.values.tolist() == [3, 6]
 
 
-EXECUTED = """
-import enum
-import linksweep
-K = {"k": 2}
-class Colour(enum.Enum):
-    RED, BLUE = 1, 2
-def f(c, x: int):
-    return c.value * x * K["k"]
-def run(n):
-    return linksweep.run(f, "s.zarr", axes={"c": list(Colour), "x": list(range(n))}, pool="serial").f.values.sum()
-if __name__ == "__main__":
-    first = run(3)
-"""
-
-
 def test_a_module_is_the_same_code_where_python_executes_it(tmp_path, monkeypatch):
     (tmp_path / "executed.py").write_text(EXECUTED)
     monkeypatch.syspath_prepend(tmp_path)
@@ -320,13 +323,6 @@ def test_a_module_is_the_same_code_where_python_executes_it(tmp_path, monkeypatc
     for _ in range(2):
         assert runpy.run_module("executed", run_name="__main__", alter_sys=True)["first"] == 18
         assert importlib.import_module("executed").run(4) == 36
-
-
-ACTS = {  # what acts on others, in which file
-    "set_a.py": "import decimal\ndecimal.getcontext().prec = 4\n",
-    "set_b.py": "import decimal\ndecimal.getcontext().prec = 8\n",
-    "by_b.py": "import set_b\n",
-}
 
 
 @pytest.mark.parametrize("last", ["import set_b", slow("import by_b"), "decimal.getcontext().prec = 9"])
