@@ -75,7 +75,6 @@ def of_objects(catalogue, physics, **changes):
 
 
 def set_up(catalogue, physics):
-    """The setup of a catalogue for a scenario whose truth is not random."""
     assert not physics.random_directions
     return prepare(physics, catalogue, np.array([physics.epsilon, physics.omega]), Prefixes())
 
@@ -85,7 +84,6 @@ def design_of(setup):
 
 
 def core_design(ra, dec, pmra, pmdec, corrections=True, glide=False):
-    """Derivatives of the observables by the unknowns as the core has them, shape (4, N, K)."""
     _, derivatives = link_unknowns(glide, corrections).derivatives(Objects(ra, dec, pmra, pmdec))
     return np.moveaxis(derivatives, 0, -1)
 

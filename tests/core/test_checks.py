@@ -28,6 +28,42 @@ WRONG += [(MOTIONS | {"zonal_pos": 1.0}, "positions have no errors on either sid
 WRONG += [(POSITIONS | {"omega_slope": [0.0, 0.0, 1.0]}, "proper motions have no errors on either side")]
 WRONG += [({"method": "projected", "zonal_pm": 1.0}, "method = 'projected' needs errors that are independent")]
 WRONG += [({"method": "projected", "satellite_error_ratio": 2.0}, "satellite_error_ratio = 1")]
+POSSIBLE = [
+    {"contents": {"a": np.full(6, 3.0), "d": np.full(6, 4.0)}} | OF_VLBI | BOTH,
+    *({}, PROJECTED | {"contents": {}}, {"satellite_errors": "none"}, PROJECTED | {"satellite_errors": "none"}),
+    *(POSITIONS | {"reference_errors": "normal"}, {"model": "gaia-2001", "v_max": 21.0}),
+    QUASARS | {"n_obj": None, "v_max": 16.3, "v_min": 14.7, "counts": "completed"},
+    *(QUASARS | {"n_obj": 1000, "v_max": 16.5, "counts": "completed"}, {"solve_glide": True, "n_obj": 3}),
+    *(GALAXIES | {"v_max": 11.0, "aberration": True}, {"zone_of_avoidance": 89.0, "sky_contrast": -0.99}),
+    RADIO | {"positions": "own", "reference_errors": "catalogue"},
+    {"solve_glide": True, "aberration": True, "reference_errors": "normal", "corrections": False},
+    {"directions": "random", "epsilon_size": 5.0, "omega_size": 0.0},
+    PROJECTED | {"solve_glide": True, "weighting": "equal", "reference_errors": "normal"},
+]
+PROBLEMS = [
+    (QUASARS | {"v_max": 12.0}, "v_max = 12 mag is outside the quasar counts"),
+    (QUASARS | {"n_obj": 89, "v_max": 15.0}, "n_obj = 89: only 88 quasars are brighter than v_max"),
+    *(({"n_obj": None}, "n_obj: "), ({"v_max": 5.0}, "v_max = 5 mag: ")),
+    ({"catalogue": "file"}, "catalogue = 'file' needs a file"),
+    (GALAXIES | {"v_max": 10.9}, "v_max = 10.9 mag: "),
+    *((RADIO | {"v_max": 9.0}, "v_max: "), (RADIO | {"aberration": True}, "aberration: ")),
+    (RADIO | BOTH | {"n_obj": None}, "reference_errors and satellite_errors"),
+    ({"satellite_errors": "catalogue"}, "satellite_errors = 'catalogue': "),
+    ({"satellite_errors": "normal", "satellite_sigma_pos": 2e7}, "errors of 2e+07 mas and 1 mas/yr: must be from"),
+    ({"mission_length": 5e-324}, "errors of inf mas and inf mas/yr: must be from"),
+    ({"model": "gaia-2001", "v_max": 21.5}, "v_max = 21.5 mag: the curve of 'gaia-2001' ends at 21 mag"),
+    ({"contents": {}, "catalogue": "synthetic"}, "file: catalogue = 'file' needs a file, and other"),
+    ({"contents": {}, "n_obj": 7}, "n_obj = 7: only 6 objects of the file are there"),
+    ({"contents": {}, "n_obj": 4, "v_max": 12.5}, "only 3 objects of the file are brighter than v_max = 12.5"),
+    ({"contents": {}, **BOTH}, "reference_errors and satellite_errors are both 'catalogue'"),
+    (PROJECTED | {"contents": {}, "satellite_errors": "catalogue"}, "correlated"),
+    (NO_MAGNITUDES, "'magnitude' needs a magnitude column"),
+    (NO_MAGNITUDES | {"v_max": 12.0, "satellite_errors": "none"}, "magnitude column"),
+    ({"contents": {"phot_g_mean_mag": np.full(6, 22.0)}, "model": "gaia-2001"}, "v_max = 22 mag: the curve"),
+    ({"contents": {}, "columns": (("plx", "parallax"),)}, "columns: plx is no quantity"),
+    ({"contents": {"pmra_error": np.arange(6.0) % 4.0}, "satellite_errors": "catalogue"}, "object 1 has an"),
+    ({"contents": {"pmra_error": np.full(6, 1e-10)}, "satellite_errors": "catalogue"}, "mas and 1e-10 mas/yr"),
+]
 
 
 def at(folder, contents=None, **changes):
@@ -44,21 +80,7 @@ def at(folder, contents=None, **changes):
     return point(**{"catalogue": "file", "file": table_file(folder / "six.ecsv"), "n_obj": None} | changes)
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"contents": {"a": np.full(6, 3.0), "d": np.full(6, 4.0)}} | OF_VLBI | BOTH,
-        *({}, PROJECTED | {"contents": {}}, {"satellite_errors": "none"}, PROJECTED | {"satellite_errors": "none"}),
-        *(POSITIONS | {"reference_errors": "normal"}, {"model": "gaia-2001", "v_max": 21.0}),
-        QUASARS | {"n_obj": None, "v_max": 16.3, "v_min": 14.7, "counts": "completed"},
-        *(QUASARS | {"n_obj": 1000, "v_max": 16.5, "counts": "completed"}, {"solve_glide": True, "n_obj": 3}),
-        *(GALAXIES | {"v_max": 11.0, "aberration": True}, {"zone_of_avoidance": 89.0, "sky_contrast": -0.99}),
-        RADIO | {"positions": "own", "reference_errors": "catalogue"},
-        {"solve_glide": True, "aberration": True, "reference_errors": "normal", "corrections": False},
-        {"directions": "random", "epsilon_size": 5.0, "omega_size": 0.0},
-        PROJECTED | {"solve_glide": True, "weighting": "equal", "reference_errors": "normal"},
-    ],
-)
+@pytest.mark.parametrize("changes", POSSIBLE)
 def test_points_without_a_problem_can_be_computed(changes, tmp_path):
     """Without overflow, from as many normals as its cost says."""
     point, n_sim, normals = at(tmp_path, **changes), 50, []
@@ -78,35 +100,7 @@ def test_points_without_a_problem_can_be_computed(changes, tmp_path):
     assert point["directions"] == "random" or sum(normals) == n_sim * link.cost(point)
 
 
-@pytest.mark.parametrize(
-    ("changes", "problem"),
-    [
-        (QUASARS | {"v_max": 12.0}, "v_max = 12 mag is outside the quasar counts"),
-        (QUASARS | {"n_obj": 89, "v_max": 15.0}, "n_obj = 89: only 88 quasars are brighter than v_max"),
-        *(({"n_obj": None}, "n_obj: "), ({"v_max": 5.0}, "v_max = 5 mag: ")),
-        *(
-            ({"catalogue": "file"}, "catalogue = 'file' needs a file"),
-            (GALAXIES | {"v_max": 10.9}, "v_max = 10.9 mag: "),
-        ),
-        *((RADIO | {"v_max": 9.0}, "v_max: "), (RADIO | {"aberration": True}, "aberration: ")),
-        (RADIO | BOTH | {"n_obj": None}, "reference_errors and satellite_errors"),
-        ({"satellite_errors": "catalogue"}, "satellite_errors = 'catalogue': "),
-        ({"satellite_errors": "normal", "satellite_sigma_pos": 2e7}, "errors of 2e+07 mas and 1 mas/yr: must be from"),
-        ({"mission_length": 5e-324}, "errors of inf mas and inf mas/yr: must be from"),
-        ({"model": "gaia-2001", "v_max": 21.5}, "v_max = 21.5 mag: the curve of 'gaia-2001' ends at 21 mag"),
-        ({"contents": {}, "catalogue": "synthetic"}, "file: catalogue = 'file' needs a file, and other"),
-        ({"contents": {}, "n_obj": 7}, "n_obj = 7: only 6 objects of the file are there"),
-        ({"contents": {}, "n_obj": 4, "v_max": 12.5}, "only 3 objects of the file are brighter than v_max = 12.5"),
-        ({"contents": {}, **BOTH}, "reference_errors and satellite_errors are both 'catalogue'"),
-        (PROJECTED | {"contents": {}, "satellite_errors": "catalogue"}, "correlated"),
-        (NO_MAGNITUDES, "'magnitude' needs a magnitude column"),
-        (NO_MAGNITUDES | {"v_max": 12.0, "satellite_errors": "none"}, "magnitude column"),
-        ({"contents": {"phot_g_mean_mag": np.full(6, 22.0)}, "model": "gaia-2001"}, "v_max = 22 mag: the curve"),
-        ({"contents": {}, "columns": (("plx", "parallax"),)}, "columns: plx is no quantity"),
-        ({"contents": {"pmra_error": np.arange(6.0) % 4.0}, "satellite_errors": "catalogue"}, "object 1 has an"),
-        ({"contents": {"pmra_error": np.full(6, 1e-10)}, "satellite_errors": "catalogue"}, "mas and 1e-10 mas/yr"),
-    ],
-)
+@pytest.mark.parametrize(("changes", "problem"), PROBLEMS)
 def test_points_with_a_problem(changes, problem, tmp_path):
     assert problem in link.check(at(tmp_path, **changes))
 

@@ -25,6 +25,23 @@ EVEN, ALL = np.array([False, True, False, True]), GAIA | ERRORS
 THREE = {f"{pair}_corr": EVEN * size for pair, size in (("ra_dec", 0.9), ("ra_pmra", 0.9), ("dec_pmra", -0.9))}
 TWICE = {"reference_pmra_error": "pmra_error", "satellite_pmra_error": "pmra_error"}
 FACTORS = {"": 1.0, "reference": 2.0, "satellite": 3.0}
+WRONG = [
+    (GAIA | {"pmra": np.where(EVEN, np.nan, PMRA)}, {}, "no pmra in row 2, 4"),
+    (GAIA | {"pmra": np.where(EVEN, np.inf, PMRA)}, {}, "an infinite pmra in row 2, 4"),
+    (GAIA | {"pmra": MaskedColumn(PMRA, mask=EVEN)}, {}, "no pmra in row 2, 4"),
+    (ANONYMOUS, {}, "column 'pmra' may or may not include cos(dec): say pmra_cos_dec"),
+    (GAIA, {"pmdec": "pm_dec"}, "no column 'pm_dec' for pmdec"),
+    (GAIA, {"parallax": "plx"}, "columns: parallax is no quantity"),
+    *(({k: v for k, v in GAIA.items() if k != name}, {}, f"no column '{name}'") for name in NAMES),
+    *((ALL | {name: [0.1, 0.1, -0.1, 0.1]}, {}, f"a negative {name} in row 3 (-0.1)") for name in ERRORS),
+    *((ALL | {"ra_dec_corr": EVEN * value}, {}, "impossible correlations") for value in (1.2, -1.0)),
+    (ALL | THREE, {}, "impossible correlations"),  # each pair alone would do
+    (GAIA | {"dec": [60.0, -30.0, 0.5, 90.0]}, {}, "is not between -90 and 90 deg, poles excluded, in row 4 (90)"),
+    (GAIA | {"ra": [10.0, 360.5, -180.0, 400.0]}, {}, "not between -180 and 360 deg in row 2 (360.5), 4 (400)"),
+    (GAIA | {"ra": [80.0] * 4, "dec": [95.0] * 4}, {}, "4 (95); are ra and dec swapped?"),
+    (ALL, TWICE, "reference_pmra_error and satellite_pmra_error are both column 'pmra_error'"),
+    (ALL, {"reference_pmra_error": "pmra_error"}, "needs reference_pmra_error and reference_pmdec_error"),
+]
 
 
 @pytest.fixture
@@ -121,26 +138,7 @@ def test_correlations_are_those_of_each_pair(write):
     assert read(write(GAIA | ERRORS)).errors.correlation is None
 
 
-@pytest.mark.parametrize(
-    ("columns", "names", "sentence"),
-    [
-        (GAIA | {"pmra": np.where(EVEN, np.nan, PMRA)}, {}, "no pmra in row 2, 4"),
-        (GAIA | {"pmra": np.where(EVEN, np.inf, PMRA)}, {}, "an infinite pmra in row 2, 4"),
-        (GAIA | {"pmra": MaskedColumn(PMRA, mask=EVEN)}, {}, "no pmra in row 2, 4"),
-        (ANONYMOUS, {}, "column 'pmra' may or may not include cos(dec): say pmra_cos_dec"),
-        (GAIA, {"pmdec": "pm_dec"}, "no column 'pm_dec' for pmdec"),
-        (GAIA, {"parallax": "plx"}, "columns: parallax is no quantity"),
-        *(({k: v for k, v in GAIA.items() if k != name}, {}, f"no column '{name}'") for name in NAMES),
-        *((ALL | {name: [0.1, 0.1, -0.1, 0.1]}, {}, f"a negative {name} in row 3 (-0.1)") for name in ERRORS),
-        *((ALL | {"ra_dec_corr": EVEN * value}, {}, "impossible correlations") for value in (1.2, -1.0)),
-        (ALL | THREE, {}, "impossible correlations"),  # each pair alone would do
-        (GAIA | {"dec": [60.0, -30.0, 0.5, 90.0]}, {}, "is not between -90 and 90 deg, poles excluded, in row 4 (90)"),
-        (GAIA | {"ra": [10.0, 360.5, -180.0, 400.0]}, {}, "not between -180 and 360 deg in row 2 (360.5), 4 (400)"),
-        (GAIA | {"ra": [80.0] * 4, "dec": [95.0] * 4}, {}, "4 (95); are ra and dec swapped?"),
-        (ALL, TWICE, "reference_pmra_error and satellite_pmra_error are both column 'pmra_error'"),
-        (ALL, {"reference_pmra_error": "pmra_error"}, "needs reference_pmra_error and reference_pmdec_error"),
-    ],
-)
+@pytest.mark.parametrize(("columns", "names", "sentence"), WRONG)
 def test_what_is_wrong_is_named(columns, names, sentence, write):
     assert sentence in problem(write(columns), names)
 

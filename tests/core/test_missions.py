@@ -33,6 +33,23 @@ NO_CURVES = {  # what is said of a function
     "returns float64 of shape (), not numbers of shape (5,)": lambda v: 0.3,
     "the function 'sigma' returns 2 masked values": lambda v: np.ma.masked_greater(v, 17.5),
 }
+PUBLISHED = [
+    ("amex", "pos_mas", 9.0, 0.15, 0.72, 0.01),  # DIVA; docs/calibration.md says why it is better
+    ("amex", "pm_mas_yr", 9.0, 0.25, 0.72, 0.01),
+    ("gaia-dr3", "pm_mas_yr", 17.0, 0.07, 1.0, 0.25),  # medians with one digit of Lindegren et al. 2021
+    ("gaia-dr3", "pm_mas_yr", 20.0, 0.5, 1.0, 0.25),  # (A&A 649, A2); the formula is a mean
+]
+WRONG = [
+    ({"sigma_pn": 1}, "sigma_pn", "unknown key; did you mean 'sigma_pm'?"),
+    ({"position_ratio": None}, "", EITHER),
+    ({"range": [12.0, 11.0]}, "range", "[12.0, 11.0]: must be [brightest, faintest], two magnitudes from -5 to 30"),
+    ({"floor_pm": 0.0}, "floor_pm", f"0.0{BOUNDS}"),
+    ({"faint_limit": 19.0}, "faint_limit", "19 mag: the table ends at 18 mag"),
+    ({"sigma_pm": [[9.0, 0.1], [9.0, 0.2]]}, "sigma_pm", "row 2: magnitude 9 does not come after 9"),
+    ({"sigma_pm": [[9.0, 1], [12, math.inf]]}, "sigma_pm", f"row 2, sigma: inf{BOUNDS}"),
+    ({"sigma_pm": [{"at": 9, "sigma": 1, "slope": 11}]}, "sigma_pm", "slope: 11: must be a number from -10 to 10"),
+    ({"sigma_pm": "other.py:f"}, "sigma_pm", "there is no file other.py:f"),
+]
 
 
 @pytest.mark.parametrize("name", ["amex", "gaia", "gaia-2001"])
@@ -64,15 +81,7 @@ def test_errors_are_pygaias_in_quadrature(release):
         np.testing.assert_allclose(ours(g_mag), expected, rtol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("name", "kind", "v_mag", "published", "ratio", "within"),
-    [
-        ("amex", "pos_mas", 9.0, 0.15, 0.72, 0.01),  # DIVA; docs/calibration.md says why it is better
-        ("amex", "pm_mas_yr", 9.0, 0.25, 0.72, 0.01),
-        ("gaia-dr3", "pm_mas_yr", 17.0, 0.07, 1.0, 0.25),  # medians with one digit of Lindegren et al. 2021
-        ("gaia-dr3", "pm_mas_yr", 20.0, 0.5, 1.0, 0.25),  # (A&A 649, A2); the formula is a mean
-    ],
-)
+@pytest.mark.parametrize(("name", "kind", "v_mag", "published", "ratio", "within"), PUBLISHED)
 def test_accuracies_that_are_published(name, kind, v_mag, published, ratio, within):
     found = getattr(MISSIONS[name], f"sigma_{kind}")(np.array(v_mag))
     assert found / published == pytest.approx(ratio, abs=within)
@@ -138,20 +147,7 @@ def test_identity_is_what_decides_the_numbers():
     assert len({identity(table) for table in others}) == len(others)
 
 
-@pytest.mark.parametrize(
-    ("change", "key", "words"),
-    [
-        ({"sigma_pn": 1}, "sigma_pn", "unknown key; did you mean 'sigma_pm'?"),
-        ({"position_ratio": None}, "", EITHER),
-        ({"range": [12.0, 11.0]}, "range", "[12.0, 11.0]: must be [brightest, faintest], two magnitudes from -5 to 30"),
-        ({"floor_pm": 0.0}, "floor_pm", f"0.0{BOUNDS}"),
-        ({"faint_limit": 19.0}, "faint_limit", "19 mag: the table ends at 18 mag"),
-        ({"sigma_pm": [[9.0, 0.1], [9.0, 0.2]]}, "sigma_pm", "row 2: magnitude 9 does not come after 9"),
-        ({"sigma_pm": [[9.0, 1], [12, math.inf]]}, "sigma_pm", f"row 2, sigma: inf{BOUNDS}"),
-        ({"sigma_pm": [{"at": 9, "sigma": 1, "slope": 11}]}, "sigma_pm", "slope: 11: must be a number from -10 to 10"),
-        ({"sigma_pm": "other.py:f"}, "sigma_pm", "there is no file other.py:f"),
-    ],
-)
+@pytest.mark.parametrize(("change", "key", "words"), WRONG)
 def test_what_is_wrong_is_said_of_its_key(change, key, words):
     table = {key: value for key, value in (TABLE | change).items() if value is not None}
     with pytest.raises(DefinitionError) as caught:
@@ -188,7 +184,6 @@ def test_what_is_no_curve(sentence):
 
 @pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
 def test_the_closed_form_is_that_of_the_link(weighting):
-    """Of the same catalogue, to rounding: 28 and 49 quasars."""
     skies = calibrate.draw_skies("quasars", 1, seed=5, faintest=14.5)
     quasars = points.drawn(5, catalogue="quasars", v_max=14.5)
     physics = points.scenario(points.point(model="amex", weighting=weighting))

@@ -180,7 +180,6 @@ def test_scales_multiply():
 
 
 def test_a_floor_dilutes_the_correlations_of_an_object():
-    """Covariances add: D R D + floor^2."""
     objects = with_own_errors(9)
     errors = scenario(point(satellite_errors="catalogue", satellite_floor_pos=1.0, satellite_floor_pm=2.0))
     total = errors.satellite_errors.standard_errors(objects)

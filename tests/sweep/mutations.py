@@ -26,7 +26,6 @@ NUMBERS = ("0", "-1", "2", "17", "0.5", "16.25", "1e3", "1000000", "1e-9", "1e18
 
 
 def corpus() -> dict[str, str]:
-    """Every built-in study, and every whole study that the documents show."""
     studies = {path.stem: path.read_text() for path in sorted((ROOT / "sweeps").glob("*.toml"))}
     for document in sorted((ROOT / "docs").glob("*.md")):
         whole = [block for block in code(document.name, "toml") if block.startswith("title")]
@@ -57,7 +56,6 @@ def replaced(text: str, chance: random.Random, pattern: str, change: Callable[[s
 
 
 def value_changed(text: str, chance: random.Random) -> str:
-    """Something that ought not to be after an equals sign, or a list, a table or a text of what is there."""
     wrapped = chance.choice(["{}", "[{}]", "{{ values = [{}] }}", "'{}'"])
     nasty = chance.choice(NASTY)
     return replaced(text, chance, VALUE, lambda value: nasty if wrapped == "{}" else wrapped.format(value), 1)
@@ -79,7 +77,6 @@ MUTATIONS = (lines_changed, lines_changed, bytes_flipped, value_changed, value_c
 
 
 def mutants(seed: int, n: int) -> list[tuple[str, str]]:
-    """Return ``n`` studies after one to three mutations, with what they are made from and how."""
     chance = random.Random(seed)
     studies = list(corpus().items())
     made = []

@@ -52,7 +52,6 @@ def run(document, store, tuning=None, **options):
 
 
 def bare(results):
-    """Return results, of a dataset or of a store, without what may differ between runs of the same numbers."""
     dataset = results if isinstance(results, xr.Dataset) else xr.open_zarr(results).load()
     return dataset.drop_vars("wall_time").drop_attrs(deep=False)
 
@@ -153,7 +152,6 @@ def parts_of(store, column="rows"):
 
 
 def rows_on_disk(store):
-    """Return how many rows the ledger of a store in a folder has now, whatever a run does meanwhile."""
     try:
         manifest = json.loads((Path(store) / "blocks" / "zarr.json").read_text())["attributes"]["manifest"]
     except FileNotFoundError:
@@ -166,7 +164,6 @@ def files_of(store):
 
 
 def in_use(store):
-    """Return the files that the root document means, and those of the ledger; the rest is of the writing before."""
     opened = OpenStore(store)
     described = {f"{name}/zarr.json" for name in opened.root["consolidated_metadata"]["metadata"]}
     kept = opened.ledger()

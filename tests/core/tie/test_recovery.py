@@ -36,7 +36,6 @@ def by_astropy(reference, epoch):
 
 
 def apparent(values, epoch):
-    """Return positions as seen from the Earth, by vectors and astropy's ephemeris."""
     earth = get_body_barycentric("earth", Time(epoch, format="jyear", scale="tdb"), ephemeris="builtin")
     seen = triad(values[0], values[1]).r - values[2] * earth.xyz.to_value(units.au)[:, None]
     return position(seen)

@@ -132,8 +132,6 @@ def levelled(seed, quality=1.0):
 
 
 def derived(x, fall, plateau, size, rate):
-    """What follows from a law: the fall at the end, and the place where it falls by so much."""
-
     def slope(at):
         part = size * np.exp(-rate * at)
         return 0.5 * rate * part / (plateau**2 + part)

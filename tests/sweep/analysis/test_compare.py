@@ -56,6 +56,14 @@ source = "p. 3"
 published = "0.5"
 """
 PLACE = 'value = { variable = "share", at = { coins = 5 } }'
+NO_CLAIMS = [
+    ("", ["claim.0 (line 12)", "exactly one of slope, ratio and value"]),
+    ('slope = { variable = "share", ower = "coins" }', ["claim.0.slope.ower (line 16)", "did you mean 'over'?"]),
+    ('slope = { variable = "share", over = "metal" }', ["'metal'", "numbers"]),
+    ('slope = { variable = "share", over = "coins" }\nwhere = { coins = 5 }', ["'coins' cannot vary"]),
+    ('ratio = { variable = "share", of = { coins = 5 }, to = { coins = 5 } }', ["claim.0.ratio", "'of' and 'to'"]),
+    (PLACE.replace("share", "share', component = 'x").replace('"', "'"), ["component"]),
+]
 
 
 def claim(**keys):
@@ -222,17 +230,7 @@ def coin_study(folder, claim=f"tolerance = 0.2\ntolerance_reason = 'a coin'\n{PL
     return folder / "study.toml"
 
 
-@pytest.mark.parametrize(
-    ("claim", "phrases"),
-    [
-        ("", ["claim.0 (line 12)", "exactly one of slope, ratio and value"]),
-        ('slope = { variable = "share", ower = "coins" }', ["claim.0.slope.ower (line 16)", "did you mean 'over'?"]),
-        ('slope = { variable = "share", over = "metal" }', ["'metal'", "numbers"]),
-        ('slope = { variable = "share", over = "coins" }\nwhere = { coins = 5 }', ["'coins' cannot vary"]),
-        ('ratio = { variable = "share", of = { coins = 5 }, to = { coins = 5 } }', ["claim.0.ratio", "'of' and 'to'"]),
-        (PLACE.replace("share", "share', component = 'x").replace('"', "'"), ["component"]),
-    ],
-)
+@pytest.mark.parametrize(("claim", "phrases"), NO_CLAIMS)
 def test_a_claim_that_cannot_be_is_refused(sweep, tmp_path, claim, phrases):
     code, out, err = sweep("plan", coin_study(tmp_path, claim))
     assert (code, out) == (2, "")

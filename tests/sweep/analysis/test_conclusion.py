@@ -23,7 +23,6 @@ BAD += [("{gaia}", GAIA | {"above": 2.0, "below": 1.0}, "above = 2: is not less 
 
 
 def made(value=((0.65, 0.57), (0.0017, 0.00054)), error=3e-6, status=DONE):
-    """Results of the link at two missions and two limits; the last point has another status."""
     status = np.array([[DONE, DONE], [DONE, status]], dtype=np.int8)
     found = grid(value, error, np.array([14.0, 20.0]), "v_max", status=status).assign_coords(model=["amex", "gaia"])
     for name in ("width", "width_mc_error"):

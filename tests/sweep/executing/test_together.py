@@ -35,7 +35,6 @@ def together(points, n_sim, streams):
 
 
 def results(evaluate_catalogues, n_cat=500):
-    """The results of coins, in this process, with such a function of several catalogues."""
     CALLS.clear()
     several = replace(experiment, evaluate_catalogues=evaluate_catalogues)
     study = {"title": "", "experiment": several, "axes": {"coins": [4, 9]}}

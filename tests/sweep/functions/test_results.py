@@ -25,6 +25,7 @@ KEPT = {"a_float": 0.1 + 0.2, "negative_zero": -0.0, "denormal": 5e-324, "zero_d
 KEPT |= {"numpy_float": np.float64(1 / 3), "single": np.float32(0.1), "an_int": 2**63 - 1, "least_int": -(2**63)}
 KEPT |= {"numpy_int": np.int32(-7), "unsigned": np.uint8(255), "numpy_bool": np.bool_(False), "zero_d_int": np.array(3)}
 ZONED = pd.Series([1.0, 2.0], index=pd.date_range("2020-06-01", periods=2, tz="Europe/Berlin"))
+TOGETHER = [("[*x, 1.0]", "values, expected an array, one for each"), ("x.sum()", "is one number"), ("x[0]", "is one")]
 GROWING = [((), [2, 3], "declare Output('a', ragged=True), Output('b', dims=('b_dim_0', 'b_dim_1'), ragged='b_dim_1')")]
 GROWING += [([Output("a", ragged=True)], [2, 3], "declare Output('b', dims=('b_dim_0', 'b_dim_1'), ragged='b_dim_1')")]
 GROWING += [([Output("b", ragged=True)], [2], "'b' has the dimensions (b_dim_0, b_dim_1): declare which of them is")]
@@ -194,10 +195,7 @@ def test_later_points_are_compared_by_name_with_the_first(tmp_path):
     check_refused({"a large integer": large}, {"n": 0.5}, tmp_path / "large")
 
 
-@pytest.mark.parametrize(
-    ("returned", "why"),
-    [("[*x, 1.0]", "values, expected an array, one for each of"), ("x.sum()", "is one number"), ("x[0]", "is one")],
-)
+@pytest.mark.parametrize(("returned", "why"), TOGETHER)
 def test_a_vectorised_function_returns_a_value_for_each_point(returned, why, tmp_path):
     f = experiment(vectorised=True)(eval(f"lambda x=1.0: {returned}"))
     reasons = json.loads(run(f, tmp_path / "s.zarr", axes={"x": [1.0, 2.0, 3.0]}, pool="serial").attrs["failures"])

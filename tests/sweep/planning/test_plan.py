@@ -44,6 +44,13 @@ REACHED = {
     "lucky": [128, 256, 2048, 2560],  # reached at 128, but not with a quarter more
     "late": [128, 256, 512, 1024],  # twice as many while it is not known
 }
+USELESS = [
+    ({"fixed": {"chance": 0.7}}, "chance = 0.7 changes nothing: even numbers are fair"),
+    ({"fixed": {"chance": 0.5}}, "chance = 0.5 changes nothing"),  # even at its default: it seems to matter
+    ({"axes": {"coins": [2, 4]}, "fixed": {"chance": 0.7, "metal": "tin"}}, "(?s)chance = 0.7.*metal = 'tin'"),
+    ({"axes": {"chance": [0.5, 0.6, 0.7]}}, r"axis chance changes nothing at some points: even numbers are fair \(2"),
+    (BOTH, r"axis chance changes nothing.*\(1 point\)"),
+]
 
 
 def plan_of(document, experiment=None, **sampling):
@@ -324,19 +331,7 @@ def grid_of(study, unused=even_are_fair):
     return plan_of(study, replace(ONE.experiment, unused=unused)).grid
 
 
-@pytest.mark.parametrize(
-    ("study", "named"),
-    [
-        ({"fixed": {"chance": 0.7}}, "chance = 0.7 changes nothing: even numbers are fair"),
-        ({"fixed": {"chance": 0.5}}, "chance = 0.5 changes nothing"),  # even at its default: it seems to matter
-        ({"axes": {"coins": [2, 4]}, "fixed": {"chance": 0.7, "metal": "tin"}}, "(?s)chance = 0.7.*metal = 'tin'"),
-        (
-            {"axes": {"chance": [0.5, 0.6, 0.7]}},
-            r"axis chance changes nothing at some points: even numbers are fair \(2",
-        ),
-        (BOTH, r"axis chance changes nothing.*\(1 point\)"),
-    ],
-)
+@pytest.mark.parametrize(("study", "named"), USELESS)
 def test_what_changes_nothing_is_refused_by_name(study, named):
     with pytest.raises(SweepError, match=named):
         grid_of(study)
@@ -358,9 +353,7 @@ def test_a_large_grid_asks_as_often_as_the_answer_can_differ(when):
     assert len(asked) < 10
 
 
-@pytest.mark.parametrize(
-    ("unused", "words"), [(lambda p: {"chanse": ""}, "'chanse'"), (lambda p: 1 / 0, "ZeroDivision")]
-)
+@pytest.mark.parametrize(("unused", "words"), [(lambda p: {"chanse": ""}, "'chanse'"), (lambda p: 1 / 0, "ZeroDiv")])
 def test_what_cannot_be_understood_of_it_is_a_sentence(unused, words):
     with pytest.raises(SweepError, match=words):
         grid_of({"fixed": {"coins": 3}}, unused)

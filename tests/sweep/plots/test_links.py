@@ -38,7 +38,6 @@ def arrows(axes):
 
 
 def residuals(ra, dec, values, errors):
-    """A link of one row for each source, with the same differences before and after the fit."""
     both = np.full((len(ra), 5), np.nan)
     both[:, :2] = values
     rows = dict.fromkeys(("difference", "residual"), (("row", "observable"), both))

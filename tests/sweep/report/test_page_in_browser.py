@@ -44,7 +44,6 @@ def chromium(tmp_path_factory):
 
 
 def empty_page(chromium, width, theme):
-    """Show nothing, at a width and in a theme, and forget what was logged before."""
     size = {"width": width, "height": 900, "deviceScaleFactor": 1, "mobile": width < 500}
     chromium.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
     scheme = [{"name": "prefers-color-scheme", "value": theme}]
@@ -220,7 +219,6 @@ def rows_shown(driver, column=1):
 
 
 def enter(driver, name, text):
-    """Type into a field and go on with Tab, as one does without a mouse; return the name of what has the focus then."""
     from selenium.webdriver.common.keys import Keys
 
     turn(driver, driver.find_element("name", name).send_keys, text, Keys.TAB)

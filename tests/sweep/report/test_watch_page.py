@@ -35,7 +35,6 @@ def period(length: float, noise: float = 0.1, rng=None):
 
 
 def ask(page, path, **request):
-    """Return status, headers and content of an answer, which keeps to the rules of WSGI."""
     answer = {}
     environ = {"PATH_INFO": path, "HTTP_HOST": "127.0.0.1:8000", "QUERY_STRING": "", "SCRIPT_NAME": ""} | request
     setup_testing_defaults(environ)

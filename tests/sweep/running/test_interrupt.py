@@ -175,7 +175,6 @@ def test_interrupted_during_the_last_write(coins, tmp_path, monkeypatch, long_wr
 
 
 def stopped(process, number):
-    """Send a signal to a whole process group, as a terminal does, and return exit code and stderr."""
     family = below(process.pid)
     os.killpg(process.pid, number)
     _, err = process.communicate(timeout=PATIENCE_S)

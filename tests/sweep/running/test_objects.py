@@ -57,6 +57,14 @@ def run(store, **given):
     return linksweep.run(described, store, **{"pool": "serial", **given})
 
 
+UNTOLD = [
+    ({"thing": [Net(1)]}, "has no label of its own"),
+    ({"thing": [lambda: 1]}, "has no label of its own"),
+    ({"thing": {"one": (x for x in ())}}, "has no canonical form"),
+    ({"thing": {"one": Net(1), "two": Net(1)}}, "duplicate values 'one'"),
+    ({"thing": [(1,), "(1,)"]}, "two values have the label"),
+    ({"thing": [1], "x": [None]}, "x = None: must be a finite number"),
+]
 FEW = (
     *(None, True, 1, 2.5, "a", 1j, (1, "b"), [1, 2], {"k": (1,)}, frozenset({1}), Colour.RED, Colour.BLUE, Size(3)),
     *(double, Net, np.arange(3), datetime.date(2026, 1, 1), np.datetime64("2026-01-02"), Path("a/b")),
@@ -119,17 +127,7 @@ def test_an_object_of_ones_own_needs_a_label_and_constants_and_tables_have_objec
         assert ds.text.values.tolist() == [described(thing)["text"] for thing in things]
 
 
-@pytest.mark.parametrize(
-    ("axes", "said"),
-    [
-        ({"thing": [Net(1)]}, "has no label of its own"),
-        ({"thing": [lambda: 1]}, "has no label of its own"),
-        ({"thing": {"one": (x for x in ())}}, "has no canonical form"),
-        ({"thing": {"one": Net(1), "two": Net(1)}}, "duplicate values 'one'"),
-        ({"thing": [(1,), "(1,)"]}, "two values have the label"),
-        ({"thing": [1], "x": [None]}, "x = None: must be a finite number"),
-    ],
-)
+@pytest.mark.parametrize(("axes", "said"), UNTOLD)
 def test_objects_that_cannot_be_told_apart_are_refused(axes, said, tmp_path):
     with pytest.raises(SweepError, match=said):
         run(tmp_path / "s.zarr", axes=axes)
@@ -391,9 +389,7 @@ def test_tuples_of_a_table_with_labels_stay_tuples(tmp_path):
     assert ds.result.values.tolist() == [repr(thing) for thing in things]
 
 
-@pytest.mark.parametrize(
-    "rows", [ROWS, xr.DataArray(ROWS), pd.DataFrame(ROWS), np.ma.array(ROWS), Column(ROWS)], ids=type
-)
+@pytest.mark.parametrize("rows", [ROWS, xr.DataArray(ROWS), pd.DataFrame(ROWS), np.ma.array(ROWS), Column(ROWS)])
 def test_rows_of_an_array_are_arrays_as_one_by_one(rows, tmp_path):
     places = ({"axes": {"p": rows}}, {"axes": {"p": {"values": rows}}}, {"points": {"p": rows}})
     for place in (*places, {"points": {"columns": {"p": rows}}}, {"points": Table({"p": rows})}):

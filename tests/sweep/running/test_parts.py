@@ -26,6 +26,8 @@ def noisy(rng, x: float = 1.0, k: int = 1):
         raise ValueError(f"too far: {value}")
     return {"value": value, "square": value**2}
 """
+TASKS = [(0, 2, 3, 0, "1-of-3"), (1, 3, 3, 3, "3-of-3"), (5, 6, 2, 6, "2-of-2"), (1, 9, 3, 1, None)]
+TASKS += [(None, 3, 3, 1, None)]
 SMALL = {"axes": {"k": [1, 2, 3, 7], "word": ["a", "b"]}, "fixed": {"x": 0.5}}
 
 
@@ -135,10 +137,7 @@ def test_what_is_no_part_is_refused_and_nothing_written(model, tmp_path, part):
     assert [path.name for path in tmp_path.iterdir()] == ["m.py"]
 
 
-@pytest.mark.parametrize(
-    ("first", "last", "count", "task", "part"),
-    [(0, 2, 3, 0, "1-of-3"), (1, 3, 3, 3, "3-of-3"), (5, 6, 2, 6, "2-of-2"), (1, 9, 3, 1, None), (None, 3, 3, 1, None)],
-)
+@pytest.mark.parametrize(("first", "last", "count", "task", "part"), TASKS)
 def test_a_task_of_an_array_is_a_part(model, tmp_path, sweep, monkeypatch, first, last, count, task, part):
     numbers = {"ID": task, "MIN": first, "MAX": last, "COUNT": count}
     for name, number in numbers.items():

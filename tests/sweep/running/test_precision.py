@@ -138,7 +138,6 @@ class StopAt(Silent):
 
 
 def stopped(study, store, share, **options):
-    """What a run of a study leaves that was stopped at this share: the dataset with values so far."""
     with pytest.raises(KeyboardInterrupt):  # with no failure allowed each task is one block
         linksweep.run(study, store, progress=StopAt(share), pool="serial", max_failures=0, **options)
     return linksweep.open(store, running=True)

@@ -23,7 +23,8 @@ from linksweep.sweep.studies.reader import study_of_function
 from tests.sweep.opening import SERIAL, check, files_of, make_grid, open_dataset, run_study, status_report
 from tests.tiers import PATIENCE_S, slow
 
-MANY = ("x > 0.0 and y", ("--axis", "y=0,1", "--max-failures", "2"), 1)
+ENDS = [("False", (), 0), ("x == 2.0", (), 1), ("x == 2.0", ("--set", "n_sim=1500"), 1)]
+ENDS += [("x > 0.0 and y", ("--axis", "y=0,1", "--max-failures", "2"), 1)]
 THREADS, LIMITS = ("--pool", "threads", "--workers", "2"), ("--pool", "serial", "--time-limit", "100")
 MODELS = """
 import numpy as np
@@ -170,10 +171,7 @@ def test_on_a_terminal_the_bar_shows_the_time_left(link_study, tmp_path, start_s
     assert re.search(r"of the work\), about \d+ s left, \d", re.sub(r"\x1b\[[\d;?]*[A-Za-z]", "", shown))
 
 
-@pytest.mark.parametrize(
-    ("fails", "options", "wanted"),
-    [("False", (), 0), ("x == 2.0", (), 1), MANY, ("x == 2.0", ("--set", "n_sim=1500"), 1)],
-)
+@pytest.mark.parametrize(("fails", "options", "wanted"), ENDS)
 def test_counts_of_events_are_those_of_the_store(run_f, tmp_path, fails, options, wanted):
     def run_with_events(*more):
         code = run_f(*options, *more, "--events", "e.jsonl", fails=fails)[0]

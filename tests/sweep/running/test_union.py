@@ -86,7 +86,6 @@ class Sweeps:
         return linksweep.open(self.store)
 
     def is_refused(self, constants, axes, keep, again):
-        """Whether constants differ, or points of other code would be left beside those of today's."""
         names = DEFAULTS.keys() - (self.axes or DEFAULTS.keys()) - axes.keys()
         differ = any(constants[n] != self.fixed[n] for n in names) and not keep
         others = any(v != self.version for p, v in self.ledger.items() if p not in again)
@@ -160,7 +159,6 @@ def in_grid_of(points, some):
 
 
 def as_lists(results):
-    """Return results as lists, None for NaN, of ragged arrays what is within their lengths."""
     lists = {}
     for name, value in results.items():
         array = np.asarray(value)

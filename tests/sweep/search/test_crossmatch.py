@@ -15,6 +15,16 @@ from linksweep.sweep.search.search import GalaxyCatalogue, Positions, cross_matc
 from tests.tiers import examples
 
 grid_sky = st.lists(st.tuples(st.integers(0, 12), st.integers(0, 3), st.integers(0, 4)), min_size=1, max_size=12)
+MERGED = [
+    # an identifier decides before the position
+    ([([10.0, 10.001], 3.0, [5, 6]), ([10.001, 70.0], 3.0, [5, 6])], None, [[0, 1], [0, 1]], [5, 6]),
+    ([([10.0], 3.0, [5]), ([10.0], 3.0, [6])], None, [[0], [1]], [5, 6]),
+    # entries within 3" + 2" are one galaxy and share the identifier, unless a smaller radius is named
+    ([([10.0, 50.0], 3.0, [0, 0]), ([50.0 + 4 / 3600, 90.0], 2.0, [7, 8])], None, [[0, 1], [1, 2]], [0, 7, 8]),
+    ([([10.0, 50.0], 3.0, [0, 0]), ([50.0 + 4 / 3600, 90.0], 2.0, [7, 8])], 3.9, [[0, 1], [2, 3]], [0, 0, 7, 8]),
+    # one without identifier links the third catalogue too
+    ([([10.0], 1.0, [0]), ([10.0 + 1.5 / 3600], 1.0, [0]), ([10.0 + 3 / 3600], 1.0, [9])], None, [[0]] * 3, [9]),
+]
 
 
 def positions(ra_deg, dec_deg, error_arcsec=1.0):
@@ -120,19 +130,7 @@ def test_nothing_is_matched_twice_and_the_order_of_rows_does_not_matter(a, b, c,
     assert found == again
 
 
-@pytest.mark.parametrize(
-    ("catalogues", "merge", "labels", "identifiers"),
-    [
-        # an identifier decides before the position
-        ([([10.0, 10.001], 3.0, [5, 6]), ([10.001, 70.0], 3.0, [5, 6])], None, [[0, 1], [0, 1]], [5, 6]),
-        ([([10.0], 3.0, [5]), ([10.0], 3.0, [6])], None, [[0], [1]], [5, 6]),
-        # entries within 3" + 2" are one galaxy and share the identifier, unless a smaller radius is named
-        ([([10.0, 50.0], 3.0, [0, 0]), ([50.0 + 4 / 3600, 90.0], 2.0, [7, 8])], None, [[0, 1], [1, 2]], [0, 7, 8]),
-        ([([10.0, 50.0], 3.0, [0, 0]), ([50.0 + 4 / 3600, 90.0], 2.0, [7, 8])], 3.9, [[0, 1], [2, 3]], [0, 0, 7, 8]),
-        # one without identifier links the third catalogue too
-        ([([10.0], 1.0, [0]), ([10.0 + 1.5 / 3600], 1.0, [0]), ([10.0 + 3 / 3600], 1.0, [9])], None, [[0]] * 3, [9]),
-    ],
-)
+@pytest.mark.parametrize(("catalogues", "merge", "labels", "identifiers"), MERGED)
 def test_entries_of_several_catalogues_are_one_galaxy(catalogues, merge, labels, identifiers):
     listed = [catalogue(positions(ra, np.zeros(len(ra))), radius, names) for ra, radius, names in catalogues]
     trees = [sky_tree(one.positions) for one in listed]

@@ -144,7 +144,6 @@ def means_the_same(key, one, other):
 
 
 def damages(files, earlier, step, trials):
-    """Yield whether it is one file, flipped, cut or lost, and what is left of the files."""
     for (file, content), change in list(itertools.product(files.items(), (flip, cut, None)))[::step]:
         yield True, {k: c for k, c in files.items() if k != file} | ({file: change(content)} if change else {})
     rng = random.Random(20)

@@ -110,24 +110,22 @@ WRONG = [
 ELSEWHERE = "is a quantity in km; give numbers in the unit of the parameter, .to_value('km')"
 DISTANCES = QTable({"distance": Masked([1.0, 2.0] * u.km, mask=[False, True])})
 pointed = experiment()(lambda point=1.0, k=1: point * k)
+ALL_WRONG = [
+    *((f, {"points": points}, problem) for points, problem in WRONG),
+    (far, {"axes": {"distance": [1.0, 2.0] * u.km}}, f"axes.distance: {ELSEWHERE}"),
+    (far, {"fixed": {"distance": 3.0 * u.km}}, f"fixed.distance: {ELSEWHERE}"),
+    (far, {"points": {"distance": [1.0 * u.km, 2.0 * u.km]}}, f"points.distance: {ELSEWHERE}"),
+    (far, {"points": DISTANCES}, "points.columns.distance: has no value in row 2"),
+    # which parameters a wrong table has is not known: those without a default are not asked for
+    (far, {"points": sobol(n="4")}, "points.n: input should be a valid integer, not '4'"),
+    (far, {"points": {"distance": [1.0], "m": [1]}}, "columns.m: unknown parameter 'm'; known are distance, n"),
+    (f, {"points": {"beta": [1.0]}, "axes": {"beta": [1.0, 2.0]}}, "beta: is an axis too"),
+    (f, {"points": {"k": [1]}, "fixed": {"k": 2}}, "k: is fixed too"),
+    (pointed, {"points": {"k": [1, 2]}, "fixed": {"point": 1.0}}, "has a 'point' of its own"),
+]
 
 
-@pytest.mark.parametrize(
-    ("function", "tables", "problem"),
-    [
-        *((f, {"points": points}, problem) for points, problem in WRONG),
-        (far, {"axes": {"distance": [1.0, 2.0] * u.km}}, f"axes.distance: {ELSEWHERE}"),
-        (far, {"fixed": {"distance": 3.0 * u.km}}, f"fixed.distance: {ELSEWHERE}"),
-        (far, {"points": {"distance": [1.0 * u.km, 2.0 * u.km]}}, f"points.distance: {ELSEWHERE}"),
-        (far, {"points": DISTANCES}, "points.columns.distance: has no value in row 2"),
-        # which parameters a wrong table has is not known: those without a default are not asked for
-        (far, {"points": sobol(n="4")}, "points.n: input should be a valid integer, not '4'"),
-        (far, {"points": {"distance": [1.0], "m": [1]}}, "columns.m: unknown parameter 'm'; known are distance, n"),
-        (f, {"points": {"beta": [1.0]}, "axes": {"beta": [1.0, 2.0]}}, "beta: is an axis too"),
-        (f, {"points": {"k": [1]}, "fixed": {"k": 2}}, "k: is fixed too"),
-        (pointed, {"points": {"k": [1, 2]}, "fixed": {"point": 1.0}}, "has a 'point' of its own"),
-    ],
-)
+@pytest.mark.parametrize(("function", "tables", "problem"), ALL_WRONG)
 def test_what_is_wrong_or_in_two_places_is_told_by_name_and_row(function, tables, problem, problems_of):
     [found] = problems_of(tables.pop("points", None), function, **tables)
     assert problem in found

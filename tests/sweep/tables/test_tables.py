@@ -101,6 +101,29 @@ REFUSED += [("__import__('os').system('true')", "not allowed"), ("ruwe", "number
 REFUSED += [("ruwe < 1.4 & name < 3", "text cannot be compared with numbers in this way .*at character 21, '3'")]
 REFUSED += [("ruwe + 1 < 2", "not allowed"), ("ruwe in 3", "not a list"), ("pair < 1", "neither numbers nor text")]
 REFUSED += [("ruwe < 0.1", "keeps none of 4 rows; ruwe is 0.9 to 2.0"), ("not " * 5000 + "good", "where")]
+BELOW = ["x,m", "\nx,1", "# by hand\nx,m", "B,1\nA,2", "B,\n3C273,2", "3C273,1\n4C4,2", "-,1\n+,2"]
+DELIMITED = [
+    ("# made by hand\n# on a Monday\nra,dec,id\n10.5,20,1\n200,-3,2\n", ["ra", "dec", "id"]),
+    ("ra;dec;id\n10,5;20;1\n200,0;-3;2\n", ["ra", "dec", "id"]),  # a spreadsheet with decimal commas
+    ("ra\tdec\tid\r\n10.5\t20\t1\r\n200\t-3\t2\r\n", ["ra", "dec", "id"]),
+    ("\ufeffra, dec, id\n10.5, 20, 1\n200, -3, 2\n", ["ra", "dec", "id"]),
+    ("ra dec id\n10.5 20 1\n# a comment\n200 -3 2", ["ra", "dec", "id"]),
+    ("ra,dec,id\ndegrees,deg,\n10.5,20,1\n200,-3,2\n", ["ra", "dec", "id"]),
+    ("ra [deg],dec (deg),id\n10.5,20,1\n200,-3,2\n", ["ra [deg]", "dec (deg)", "id"]),
+    ("#ra;dec;id\n#(deg);(deg);\n10.5;20;1\n200;-3;2\n", ["ra", "dec", "id"]),  # as psrcat writes it
+]
+NO_TABLES = [
+    (b"", "has no rows"),
+    ("10,20\n30,40\n", "its first line, '10,20', is not one of column names"),
+    ("ra,dec,ra\n1,2,3\n", "two columns are called 'ra'"),
+    ("ra,dec\n1,2\n3\n", "row 2 has 1 columns, not 2"),
+    ("ra dec name\n1 2 NGC 1\n", "row 1 has 4 columns, not 3"),
+    (b"\x00\x01\x02\x03" * 10, "neither a table format that is known nor text"),
+    (b"\x1f\x8b\x08\x00bad", "is compressed, but incomplete"),
+    ("<!DOCTYPE html><html><body>404</body></html>", "is a web page"),
+    ("<VOTABLE version='1.3'><RESOURCE/></VOTABLE>", "has no table in it"),
+    (b"PAR1nonsense", "cannot be read as Parquet"),
+]
 
 
 def written(folder: Path, name: str, content: str | bytes) -> Path:
@@ -109,19 +132,7 @@ def written(folder: Path, name: str, content: str | bytes) -> Path:
     return path
 
 
-@pytest.mark.parametrize(
-    ("text", "names"),
-    [
-        ("# made by hand\n# on a Monday\nra,dec,id\n10.5,20,1\n200,-3,2\n", ["ra", "dec", "id"]),
-        ("ra;dec;id\n10,5;20;1\n200,0;-3;2\n", ["ra", "dec", "id"]),  # a spreadsheet with decimal commas
-        ("ra\tdec\tid\r\n10.5\t20\t1\r\n200\t-3\t2\r\n", ["ra", "dec", "id"]),
-        ("\ufeffra, dec, id\n10.5, 20, 1\n200, -3, 2\n", ["ra", "dec", "id"]),
-        ("ra dec id\n10.5 20 1\n# a comment\n200 -3 2", ["ra", "dec", "id"]),
-        ("ra,dec,id\ndegrees,deg,\n10.5,20,1\n200,-3,2\n", ["ra", "dec", "id"]),
-        ("ra [deg],dec (deg),id\n10.5,20,1\n200,-3,2\n", ["ra [deg]", "dec (deg)", "id"]),
-        ("#ra;dec;id\n#(deg);(deg);\n10.5;20;1\n200;-3;2\n", ["ra", "dec", "id"]),  # as psrcat writes it
-    ],
-)
+@pytest.mark.parametrize(("text", "names"), DELIMITED)
 def test_delimited_text(text, names, tmp_path):
     for name, content in (("t.csv", text.encode()), ("t.txt.gz", gzip.compress(text.encode()))):
         table = read_table(written(tmp_path, name, content))
@@ -131,9 +142,7 @@ def test_delimited_text(text, names, tmp_path):
         assert [table[n].unit for n in names] == [u.deg, u.deg, None]
 
 
-@pytest.mark.parametrize(
-    "below", ["x,m", "\nx,1", "# by hand\nx,m", "B,1\nA,2", "B,\n3C273,2", "3C273,1\n4C4,2", "-,1\n+,2"]
-)
+@pytest.mark.parametrize("below", BELOW)
 @pytest.mark.parametrize("first", ["V", "g", "foo", "+"])
 def test_rows_of_texts_are_no_units(first, below, tmp_path):
     text = f"{first},\n{below}\n,1"
@@ -246,21 +255,7 @@ def test_parquet_of_astropy_has_its_masks_and_times(tmp_path):
         read_table(tmp_path / "nulls.parquet")
 
 
-@pytest.mark.parametrize(
-    ("content", "problem"),
-    [
-        (b"", "has no rows"),
-        ("10,20\n30,40\n", "its first line, '10,20', is not one of column names"),
-        ("ra,dec,ra\n1,2,3\n", "two columns are called 'ra'"),
-        ("ra,dec\n1,2\n3\n", "row 2 has 1 columns, not 2"),
-        ("ra dec name\n1 2 NGC 1\n", "row 1 has 4 columns, not 3"),
-        (b"\x00\x01\x02\x03" * 10, "neither a table format that is known nor text"),
-        (b"\x1f\x8b\x08\x00bad", "is compressed, but incomplete"),
-        ("<!DOCTYPE html><html><body>404</body></html>", "is a web page"),
-        ("<VOTABLE version='1.3'><RESOURCE/></VOTABLE>", "has no table in it"),
-        (b"PAR1nonsense", "cannot be read as Parquet"),
-    ],
-)
+@pytest.mark.parametrize(("content", "problem"), NO_TABLES)
 def test_what_is_no_table_is_a_sentence(content, problem, tmp_path):
     path = written(tmp_path, "t.csv", content)
     with pytest.raises(SweepError, match="(?s)" + problem.replace("(", r"\(")) as error:

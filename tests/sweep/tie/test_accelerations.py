@@ -98,7 +98,6 @@ def path(star, accelerations, years):
 
 
 def made_link(folder, seed, n=12, epoch=2017.5, change=None, **options):
-    """Write two tables of stars with models of each kind, their rows at several epochs, and return the link."""
     rng = np.random.default_rng(seed)
     made, accelerations, covariance, sizes = drawn(n, seed, epoch=epoch)
     own = replace(made, values=seen_by_satellite(made, EPSILON + OMEGA * (epoch - 2016.0), OMEGA))

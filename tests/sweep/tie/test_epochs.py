@@ -81,7 +81,6 @@ def drawn(seed, models, n_transits=24, bend=1.0, excess=0.0, ccds=9):
 
 
 def fit(design, values, errors):
-    """Return a solution in mas with the expectation of the colour, as Gaia's, and its covariance."""
     normal = (design / errors[:, None] ** 2).T @ design
     normal[-1, -1] += 0.085e-3**-2
     covariance = np.linalg.inv(normal)
@@ -112,7 +111,6 @@ def observed(rng, made, further, orbits, names, number=3):
 
 
 def written(folder, scans, form="ecsv", units=True):
-    """Write scans as DataLink gives them; DPAC's Parquet has other names."""
     table, path = scans.copy(), folder / f"scans.{form.removeprefix('dpac.')}"
     for name, unit in UNITS.items() if units else ():
         table[name].unit = unit
@@ -176,7 +174,6 @@ def with_every_parameter(link, sky, models):
 
 
 def orbits(folder, names, campbell=False):
-    """Write elements of `ORBIT` as Gaia's archive does, with a semi-axis of 3.2 mas or with angles."""
     table = Table({"source_id": np.asarray(names, dtype=np.int64)})
     table["period"], table["eccentricity"], table["ref_epoch"] = ORBIT[0] * 365.25, ORBIT[1], EPOCH - 1.5 * campbell
     table["t_periastron"] = (ORBIT[2] + EPOCH - table["ref_epoch"]) * 365.25

@@ -38,7 +38,6 @@ def noises_of(piece, kinds):
 
 
 def in_one(pieces):
-    """All observations of a link, the derivatives by unknowns and by what the sources lack, and their covariance."""
     y, a = (np.concatenate([vars(one)[name] for one in pieces]) for name in "ya")
     return y, np.hstack([a, block_diag(*(one.b for one in pieces))]), block_diag(*(one.d for one in pieces))
 

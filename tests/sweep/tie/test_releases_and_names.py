@@ -23,7 +23,6 @@ def still(n=12, epoch=2016.0, **options):
 
 
 def two_tables(folder, n=12, own=None, other=None, epoch=2017.5):
-    """Write the tables of two releases, the second without the satellite's turn; return their paths."""
     made = still(n, epoch)
     there = propagated(made.values, made.radial_velocity, made.epoch, np.full(n, 2016.0))
     seen = replace(made, values=seen_by_satellite(made, TURN, 0.0 * TURN))

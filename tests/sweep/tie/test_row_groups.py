@@ -26,7 +26,6 @@ OPTIONS = [
 
 
 def quasars(path, n=3000, group=700, **changes):
-    """Write made quasars whose satellite frame spins by -SPIN, with a few outliers, in row groups."""
     rng = np.random.default_rng(6)
     ra, dec = rng.uniform(0.0, 2.0 * np.pi, n), np.arcsin(rng.uniform(-1.0, 1.0, n))
     x, y, z = SPIN
