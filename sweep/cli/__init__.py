@@ -187,7 +187,7 @@ BREAK_LOCK = flag("Continue although another host seems to write to the store; m
 ACCEPT_CODE = flag("Take points that other code made; each records which code made it.")
 TRUST = flag("Run code that is inside a store, or that one from elsewhere names.")
 AXES = many(
-    "Override or add an axis: 14:20:0.5, 0:1:lin5, 10:1000:log5.", "--axis", metavar="NAME=SPEC", shell_complete=_keys
+    "Override or add an axis: 14:20:0.5, 0:1:lin5, 1:9:log3.", "--axis", shell_complete=_keys, metavar="NAME=SPEC"
 )
 SETTINGS = many("Override a value, e.g. n_sim=500.", "--set", metavar="KEY=VALUE", shell_complete=_ALSO_SAMPLING)
 DESIGNS = "e.g. sobol:256 or sobol:256:SEED; latin-hypercube, halton, random, saltelli, morris."

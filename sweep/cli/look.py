@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 import linksweep
-from linksweep.sweep import cli
+from linksweep.sweep import cli, studies as known
 from linksweep.sweep.cli import AT, JSON, STORE, At, arg, choice, flag, json_or, many, opt, parsed, part_of
 from linksweep.sweep.cli.run import Running, Watching, resources, run_with_progress
 from linksweep.sweep.executing.pools import Resources
@@ -45,8 +45,6 @@ def list_studies(as_json: bool = JSON) -> None:
     \b
     sweep list
     """
-    from linksweep.sweep import studies as known
-
     studies = {}
     for name, path in known.built_in_studies().items():
         document = tomllib.loads(path.read_text(encoding="utf-8"))
@@ -146,8 +144,7 @@ class Drawing:
 
     def figure(self) -> tuple[Any, Any]:
         """Return a figure, and the dataset that it shows."""
-        from linksweep.sweep.plots import link as sky
-        from linksweep.sweep.plots.figure import draw_figure
+        from linksweep.sweep.plots import figure as figures, link as sky
         from linksweep.sweep.running.reproduce import study_to_look_at
         from linksweep.sweep.stores.location import store_named
 
@@ -167,9 +164,9 @@ class Drawing:
             return sky.sky_figure(objects), objects
         chosen = self.kind, self.variables, self.over, self.log, self.linear
         if (link := cli.link_in(store, self.at)) is not None:
-            return draw_figure(link, *chosen), link
+            return figures.draw_figure(link, *chosen), link
         with part_of(store, self.at, running=True) as dataset:
-            return draw_figure(dataset, *chosen), dataset
+            return figures.draw_figure(dataset, *chosen), dataset
 
 
 @cli.command("Look", "Draw results")
@@ -209,8 +206,6 @@ def plot(
 
 def paper_studies(published: bool) -> "list[linksweep.Study]":
     """Return the built-in studies in the order of the paper, or those that have ``published`` numbers or claims."""
-    from linksweep.sweep import studies as known
-
     texts = {name: tomllib.loads(path.read_text("utf-8")) for name, path in known.built_in_studies().items()}
     names = [name for name, text in texts.items() if not published or {"published", "claim"} & text.keys()]
     others = sorted(set(names).difference(PAPER_ORDER))
@@ -231,12 +226,8 @@ class AskedStores:
         """Raise click.UsageError unless there are either stores or --all, and for options of --all without it."""
         if self.everything == bool(self.stores):
             raise click.UsageError("name stores, or give --all")
-        is_about_runs = (
-            self.results is not None
-            or self.resources != Resources()
-            or self.watching != Watching(False, False, None, None)
-        )
-        if is_about_runs and not self.everything:
+        about_runs = self.results, self.resources, self.watching
+        if about_runs != (None, Resources(), Watching(False, False, None, None)) and not self.everything:
             raise click.UsageError("--results, what to run on and how to watch it go with --all: nothing runs without")
 
     def whole(self, published: bool = False) -> "Sequence[Location]":
@@ -302,7 +293,7 @@ def fit(
     law: str = choice(LAWS, ("power", "levelling"), default="power"),
     expect: float | None = opt("Exponent to test.  [default: that of a claim of the study]", type=float),
     fall: float | None = opt(
-        "Levelling: where it falls by less per unit of the axis.  [default: 5]", type=PERCENT, metavar="PERCENT"
+        "Levelling: where it falls by less per unit.  [default: 5]", type=PERCENT, metavar="PERCENT"
     ),
     span: str | None = opt("Only points in this range of the axis, 50: or 14:17.", "--range", metavar="LOW:HIGH"),
     at: At = AT,
@@ -318,17 +309,16 @@ def fit(
     sweep fit radio-stars --range 50: --at reference_error_scale=1
     sweep fit results/quasars.zarr --over v_max --law levelling
     """
-    from linksweep.sweep.analysis.laws import parse_range
-    from linksweep.sweep.analysis.quantity import between, main_quantity, require_axis
+    from linksweep.sweep.analysis import laws, quantity
 
     if law == "levelling" and expect is not None:
         raise click.UsageError("--expect is an exponent and goes with --law power")
     if law == "power" and fall is not None:
         raise click.UsageError("--fall goes with --law levelling")
     with part_of(store, at) as part:
-        variable = variable or main_quantity(part)
-        over = require_axis(part, variable, over)
-        dataset = part if span is None else between(part, over, *parse_range(span))
+        variable = variable or quantity.main_quantity(part)
+        over = quantity.require_axis(part, variable, over)
+        dataset = part if span is None else quantity.between(part, over, *laws.parse_range(span))
         if law == "power":
             result = linksweep.fit_power_law(dataset, variable, over, expect)
         else:
@@ -353,16 +343,15 @@ def find(
     sweep find results/quasars.zarr --where "sigma_spin < 1 uas/yr" --over v_max
     sweep find grid --where "sigma_spin <= 0.5" --over n_obj --at model=amex
     """
-    from linksweep.sweep.analysis import laws
-    from linksweep.sweep.analysis.quantity import require_axis, varied_parameters
+    from linksweep.sweep.analysis import laws, quantity
 
     limit = laws.parse_limit(where)
     with part_of(store, at) as dataset:
-        if over is None and len(varied_parameters(dataset)) > 1:
+        if over is None and len(quantity.varied_parameters(dataset)) > 1:
             met = laws.points_where(dataset, limit)
             cli.print_headlines(met, as_json) if as_json or met["status"].size else cli.put(f"no point meets {limit}")
             return
-        result = laws.find(dataset, limit, require_axis(dataset, limit.variable, over))
+        result = laws.find(dataset, limit, quantity.require_axis(dataset, limit.variable, over))
     cli.print_result(result, "json" if as_json else "text")
 
 

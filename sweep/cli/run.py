@@ -31,8 +31,7 @@ from linksweep.sweep.tie.options import FORECAST, TIE, ApplyOptions, ForecastOpt
 if TYPE_CHECKING:
     import xarray as xr
 
-    from linksweep.sweep.running.progress import MaxFailures
-    from linksweep.sweep.running.results import Labelled
+    from linksweep.sweep.running import progress, results
     from linksweep.sweep.stores.location import Location
     from linksweep.sweep.studies.study import Part
 
@@ -180,7 +179,7 @@ def _logged(watching: Watching) -> Iterator[None]:
 
 
 @parsed
-def _max_failures(text: str) -> "MaxFailures":
+def _max_failures(text: str) -> "progress.MaxFailures":
     from linksweep.sweep.running.progress import MaxFailures
 
     return MaxFailures.parsed(text)
@@ -195,34 +194,27 @@ class Running:
     as_json: bool | None = cli.JSON
     break_lock: bool = cli.BREAK_LOCK
     accept_code: bool = cli.ACCEPT_CODE
-    max_failures: "MaxFailures | None" = opt(
+    max_failures: "progress.MaxFailures | None" = opt(
         "End when more points fail.  [default: if the first 20 fail alike]", metavar="N|P%", callback=_max_failures
     )
 
 
 def run_with_progress(
-    study: "linksweep.Study",
-    store: "Location",
-    how: Running,
-    *,
-    retry: bool = False,
-    fresh: bool = False,
-    **beside: Any,
-) -> "tuple[Labelled, dict[str, str]]":
+    study: "linksweep.Study", store: "Location", how: Running, retry: bool = False, fresh: bool = False, **beside: Any
+) -> "tuple[results.Labelled, dict[str, str]]":
     """Run a study with progress; print its table, then what the run took, and the answer last, or JSON alone.  Return
     the results, and why points failed.  The fields of `Beside` say what becomes of other points of the store.  An
     interruption ends the command.
     """
     from linksweep.sweep.analysis.answer import CONCLUSION, answer_in_short
-    from linksweep.sweep.running.progress import TerminalProgress
-    from linksweep.sweep.running.run import Beside, run_study
+    from linksweep.sweep.running import progress as watching, run as running
     from linksweep.sweep.stores.location import short_name
 
-    shown = TerminalProgress(study, not how.watching.quiet, how.watching.events)
+    shown = watching.TerminalProgress(study, not how.watching.quiet, how.watching.events)
     with cli.a_signal_ends_the_command(), _logged(how.watching), shown as progress:
         try:
-            rest = how.break_lock, how.accept_code, fresh, how.max_failures
-            dataset, failures = run_study(study, store, how.resources, progress, retry, *rest, beside=Beside(**beside))
+            rest = how.break_lock, how.accept_code, fresh, how.max_failures, running.Beside(**beside)
+            dataset, failures = running.run_study(study, store, how.resources, progress, retry, *rest)
         except RunInterruptedError as stop:
             progress.stopped(stop.signal.name, store)
             cli.end_stopped(stop.signal)
@@ -266,9 +258,7 @@ def run(
     fresh: bool = flag("Replace an existing store, whatever its study and code."),
     only: bool = flag("Leave points that STUDY does not ask for out of the store's dataset."),
     keep: bool = flag("Let constants that differ from the store's become axes."),
-    redo: str = opt(
-        'Compute finished points again, e.g. "x>2 and y==8"; old: of other code.', metavar="IF", default=""
-    ),
+    redo: str = opt('Compute points again, e.g. "x>2 and y==8"; old: of other code.', metavar="IF", default=""),
     verify: int = opt("At the end compute so many points again.", type=click.IntRange(0), default=0),
     part: "Part | None" = cli.PART,
 ) -> None:
@@ -322,8 +312,7 @@ def refine(
     sweep refine quasars --find "sigma_spin < 0.6" --within 0.01
     sweep refine quasars --along v_max --until "error < 0.002"
     """
-    from linksweep.sweep.analysis.laws import find
-    from linksweep.sweep.analysis.refine import refinements
+    from linksweep.sweep.analysis import laws, refine as rounds
     from linksweep.sweep.result import Result
     from linksweep.sweep.running.run import stored_results
 
@@ -332,13 +321,13 @@ def refine(
     def run(now: "linksweep.Study") -> Any:
         return (stored_results(now, store) if plan_only else run_with_progress(now, store, mute)[0]).to_xarray()
 
-    for state in refinements(study, store, goal, run):
+    for state in rounds.refinements(study, store, goal, run):
         if state.upcoming is not None and not how.watching.quiet:
             click.echo(f"round {len(state.rounds) + 1}: {state.upcoming}", err=True)
         if plan_only:
             break
     is_whole = not (failures := json.loads(state.dataset.attrs["failures"]))
-    crossings = Result(find(state.dataset, goal["find"], state.along)) if goal["find"] and is_whole else None
+    crossings = Result(laws.find(state.dataset, goal["find"], state.along)) if goal["find"] and is_whole else None
     if how.as_json:
         answer = {"failures": failures, "answer": crossings and json.loads(crossings.written("json"))}
         cli.put(to_json({name: value for name, value in vars(state).items() if name != "dataset"} | answer))
@@ -361,15 +350,14 @@ def plan(
     \b
     sweep plan grid --set n_cat=100
     """
-    from linksweep.sweep.running.progress import failed_before
-    from linksweep.sweep.running.run import plan_report
+    from linksweep.sweep.running import progress, run as running
 
-    report = plan_report(*asked.load(), workers, accept_code)
+    report = running.plan_report(*asked.load(), workers, accept_code)
     if as_json:
         cli.put(to_json(report))
         return
     lines = [("study", report["title"]), ("grid", report["grid"])]
-    failed = failed_before(report["points_failed"])
+    failed = progress.failed_before(report["points_failed"])
     lines += [("points", f"{report['points']:,}, {report['points_done']:,} of them done{failed}")]
     if "realisations" in report:
         done = report["realisations"] - report["realisations_pending"]
@@ -683,18 +671,15 @@ def new(name: str = arg(), experiment: str = EXPERIMENT) -> None:
     sweep new mine
     sweep new mine my_experiment.py:experiment
     """
-    from linksweep.sweep.code import load_experiment
-    from linksweep.sweep.contract import shown
+    from linksweep.sweep import code, contract
     from linksweep.sweep.stores.location import Folder
-    from linksweep.sweep.studies.new import new_study
-    from linksweep.sweep.studies.reader import GOOD_NAME
+    from linksweep.sweep.studies import new as made, reader
 
-    if not GOOD_NAME.fullmatch(name):
-        raise linksweep.SweepError(
-            f"{shown(name)} is no name for a study: letters, digits and _ . + -, at most 60; a letter first"
-        )
+    if not reader.GOOD_NAME.fullmatch(name):
+        rule = "a letter, then letters, digits and _ . + -, at most 60"
+        raise linksweep.SweepError(f"{contract.shown(name)} is no name for a study: {rule}")
     path = Path(f"{name}.toml")
-    text = new_study(name, experiment, load_experiment(experiment)).encode(errors="replace")
+    text = made.new_study(name, experiment, code.load_experiment(experiment)).encode(errors="replace")
     try:
         is_made = Folder(Path()).create(path.name, text)
     except OSError as error:
@@ -720,13 +705,12 @@ def params(
     sweep params --schema > study.schema.json
     """
     from linksweep.sweep.code import load_experiment
-    from linksweep.sweep.studies import built_in_studies
-    from linksweep.sweep.studies.new import study_schema
+    from linksweep.sweep.studies import built_in_studies, new as made
 
     is_study = experiment.endswith(".toml") or experiment in built_in_studies()
     declared = linksweep.load_study(experiment).experiment if is_study else load_experiment(experiment)
     if schema:
-        cli.put(json.dumps(study_schema(declared), indent=1, ensure_ascii=False))
+        cli.put(json.dumps(made.study_schema(declared), indent=1, ensure_ascii=False))
         return
     rows = [
         {name: getattr(p, name) for name in ("name", "unit", "default", "required", "meaning")}
@@ -800,17 +784,15 @@ class Target:
         if self.output is not None and not rejected:
             Result(result).save(self.output)
         if self.figures is not None and not rejected:
-            from linksweep.sweep.plots import style
-            from linksweep.sweep.plots.figure import all_figures
+            from linksweep.sweep.plots import figure as drawing, style
 
             try:
                 self.figures.mkdir(parents=True, exist_ok=True)
             except OSError as error:
-                raise linksweep.SweepError(
-                    f"cannot draw there: {error.strerror or error}", str(self.figures)
-                ) from error
+                why = error.strerror or error
+                raise linksweep.SweepError(f"cannot draw there: {why}", str(self.figures)) from error
             with style.settings():
-                for kind, figure in all_figures(Result(result)).items():
+                for kind, figure in drawing.all_figures(Result(result)).items():
                     style.save(figure, self.figures / f"{kind}.png")
                     click.echo(f"wrote {self.figures / f'{kind}.png'}", err=True)
         cli.print_result(result, "json" if self.as_json else "text")

@@ -97,10 +97,8 @@ def dask_workers(reference: str, resources: Resources, say: Callable[[str], None
             words = f"{workers} local worker {'process' if workers == 1 else 'processes'}"
             memory = {} if resources.limits.memory is None else {"memory_limit": resources.limits.memory}
             options = {"n_workers": workers, "threads_per_worker": 1, **memory}
-            local = ClusterFile.model_validate(
-                {"class": "distributed.LocalCluster", "options": options, "scale": workers}
-            )
-            client = stack.enter_context(_client_of(local, "--dashboard"))
+            local = {"class": "distributed.LocalCluster", "options": options, "scale": workers}
+            client = stack.enter_context(_client_of(ClusterFile.model_validate(local), "--dashboard"))
         driver = DaskDriver(client, words, reference, resources.limits, say)
         stack.callback(driver.cancel)
         driver.prepare()
@@ -142,9 +140,7 @@ def client_at(address: str, security: Security | None = None) -> Iterator[Client
     """Give a client of a Dask scheduler that runs elsewhere; raises SweepError where none answers."""
     options = (security or Security()).get_connection_args("client")
     if address.startswith("tls://") and options["ssl_context"] is None:
-        raise SweepError(
-            f"no certificates for {address!r}: give --tls-ca, --tls-cert and --tls-key, or configure Dask with them"
-        )
+        raise SweepError(f"no certificates for {address!r}: give --tls-ca, --tls-cert and --tls-key, or configure Dask")
     protocol, _, rest = address.partition("://")
     if protocol not in ("tcp", "tls") or not rest.rpartition(":")[0] or not rest.rpartition(":")[2].isdecimal():
         raise SweepError(f"no Dask scheduler has the address {address!r}; expected tcp://HOST:PORT or tls://HOST:PORT")
@@ -350,14 +346,10 @@ class ClusterFile(BaseModel, extra="forbid"):
             raise ValueError("adapt: must say a maximum; without one the cluster would grow with the work")
         for unit in ("", "_jobs"):
             least, most = adapt.get(f"minimum{unit}", 0), adapt.get(f"maximum{unit}", math.inf)
-            if (
-                type(least) is not int
-                or not (type(most) is int or most == math.inf)
-                or not 0 <= least <= most
-                or most < 1
-            ):
+            whole = type(least) is int and (type(most) is int or most == math.inf)
+            if not (whole and 0 <= least <= most and most >= 1):
                 raise ValueError(
-                    f"adapt: minimum{unit} = {least} must be at most maximum{unit} = {most}, that at least 1"
+                    f"adapt: minimum{unit} = {least} must be at most maximum{unit} = {most}, and this >= 1"
                 )
         return self
 
@@ -396,9 +388,7 @@ def cluster_class(file: ClusterFile) -> Any:
     try:
         answer = signal.getsignal(signal.SIGINT)
         kind = getattr(importlib.import_module(module), attribute)
-        if (
-            signal.getsignal(signal.SIGINT) is not answer
-        ):  # dask_jobqueue answers Ctrl-C by sys.exit once it is imported
+        if signal.getsignal(signal.SIGINT) is not answer:  # dask_jobqueue answers Ctrl-C by sys.exit once imported
             signal.signal(signal.SIGINT, answer)
     except Exception as error:  # whatever a module raises while it is imported
         missing = isinstance(error, ModuleNotFoundError) and error.name == "dask_jobqueue"
@@ -490,12 +480,9 @@ def run_on_worker(task: Task | Call, expected: Identity, guarded: bool, memory_l
     worker = get_worker()
     reference, digest = task.experiment_reference, task.source_digest
     here = Identity.here(reference, digest)
-    answer = Reply(
-        worker.address,
-        here if expected.differences(here) else None,
-        other_versions(expected.others, here.others),
-    )
-    if answer.another is not None:
+    another = here if expected.differences(here) else None
+    answer = Reply(worker.address, another, other_versions(expected.others, here.others))
+    if another is not None:
         return answer
     if guarded and isinstance(task, Task):
         limits = Limits(task.time_limit_s, memory_limit)

@@ -314,9 +314,7 @@ class Eta:
             return None
         last = self._recent[-1][0]
         elapsed = max(last - self._since, 1e-9)
-        half = min(
-            0.5 * self._recent_s / len(self._recent), 0.5 * elapsed
-        )  # a task, which all others are at on average
+        half = 0.5 * min(self._recent_s / len(self._recent), elapsed)  # of a task, which all others are at on average
         at_once = min((self._recent_s - half) / (elapsed - half), self._workers)
         needed = max(self._known - self._done, 0.0) * self._busy / max(self._cost, 1e-9) / max(at_once, 1e-9)
         return max(needed - max(now - last, 0.0), 0.5 * needed)

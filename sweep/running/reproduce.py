@@ -189,7 +189,8 @@ def _alone(
     with tempfile.TemporaryDirectory(prefix="linksweep-", ignore_cleanup_errors=True) as folder:
         session = Session.open(Grid(alone), located(Path(folder) / "point.zarr"))
         session.compute(execute)
-        return session.publish().to_xarray().drop_vars("wall_time").load(), session.failures()
+        dataset, failures = session.publish()
+        return dataset.to_xarray().drop_vars("wall_time").load(), failures
 
 
 def _raising(task: Task) -> TaskResult:

@@ -146,9 +146,8 @@ def with_stored(store: Store, study: Study, only: bool = False) -> tuple[Study, 
     document = json.loads(attributes["study_document"])
     # The same files, as the caller has found; that which the store names may have moved.
     files = {one.name for one in study.experiment.parameters if one.kind == "file"} & document.get("fixed", {}).keys()
-    document["fixed"] = document.get("fixed", {}) | {
-        name: raw for name, raw in study.document.get("fixed", {}).items() if name in files
-    }
+    here = {name: raw for name, raw in study.document.get("fixed", {}).items() if name in files}
+    document["fixed"] = document.get("fixed", {}) | here
     stored = recorded_study({**attributes, "study_document": json.dumps(document)}, where)
     stored = replace(stored, document={**stored.document, "define": document.get("define", {})})
     study = with_numbers_of(stored, study)
@@ -550,10 +549,8 @@ class Writer:
             self._unflushed = False
             self._flushed = time.monotonic()
             if changed:
-                why = "has changed during the run, and what was computed meanwhile is of either version"
-                raise SweepError(
-                    f'{changed} {why}: --redo old (redo="old") computes that again', str(self.store.location)
-                )
+                why = 'has changed during the run: --redo old (redo="old") computes again what was computed meanwhile'
+                raise SweepError(f"{changed} {why}", str(self.store.location))
 
     def _changed_file(self) -> str:
         """Return a data file that the function declares and that is not as it was when the run began; what was taken
@@ -649,9 +646,8 @@ class Session:
             self.accumulator = Accumulator(plan)
         else:
             failed = store.failures.keys() - again
-            self.accumulator = Accumulator(
-                plan, store.rows, store.read(), failed, wanted, store.samples, store.seconds()
-            )
+            stored = store.rows, store.read(), failed, wanted, store.samples, store.seconds()
+            self.accumulator = Accumulator(plan, *stored)
         self._asked: Study | None = None
         self.is_left_alone = False
         self._too_many = ""
@@ -773,8 +769,9 @@ class Session:
                         self._too_many = too_many
                         break
 
-    def publish(self, progress: "Progress | None" = None) -> Labelled:
-        """Write the dataset of everything that was computed, and return it.
+    def publish(self, progress: "Progress | None" = None) -> tuple[Labelled, dict[str, str]]:
+        """Write the dataset of everything that was computed; return the results of the points of the study that was
+        asked for, and its failures by place.
 
         Raises TooManyFailuresError where that was ended early.
         """
@@ -783,18 +780,11 @@ class Session:
         with self._kept(writer):
             dataset = writer.write(final=not self._too_many)
         writer.require_whole()
-        if self._asked is not None:
-            dataset = self.part()[0]
+        results = (dataset, writer.failures()) if self._asked is None else self.part()
         (progress or Silent()).written()
         if self._too_many:
             raise TooManyFailuresError(f"stopped: {self._too_many}; {GOES_ON}", str(writer.store.location))
-        return dataset
-
-    def failures(self) -> dict[str, str]:
-        """Return the points of the study that failed, by their place on the axes, and why."""
-        if self._asked is not None:
-            return self.part()[1]
-        return {} if self._writer is None else self._writer.failures()
+        return results
 
     def _begun(self, progress: "Progress") -> Store:
         """Return the store, a new one if need be, which is found whole and says which code continues it."""
@@ -925,28 +915,20 @@ def run_study(
             session = Session.open(grid, store, accept_code=accept_code)
             if not session.is_left_alone:
                 raise
-            return _left_alone(session, progress)
-        session = Session.open(grid, store, accept_code=accept_code, retry=retry, fresh=fresh, beside=beside)
+        else:
+            session = Session.open(grid, store, accept_code=accept_code, retry=retry, fresh=fresh, beside=beside)
         if session.is_left_alone:
-            return _left_alone(session, progress)
+            progress.say(f"{store} has all that this study asks for; it is left as it is, and these are its points")
+            return session.part()
         pending = session.survey.pending
         if retry and not pending.blocks:
             progress.say(f"no point in {store} has failed")
         if beside.redo and not pending.blocks:
             progress.say(f"no point in {store} is there where {beside.redo}")
-        where = choose_executor(
-            session.study, pending.cost, resources if pending.blocks else ANY_RESOURCES, progress.say
-        )
-        place, execute = stack.enter_context(where)
+        chosen = resources if pending.blocks else ANY_RESOURCES
+        place, execute = stack.enter_context(choose_executor(session.study, pending.cost, chosen, progress.say))
         progress.start(session.survey, place.words, place.workers)
         if place.dashboard:
             progress.say(f"Dask dashboard: {place.dashboard}")
         session.compute(execute, progress, max_failures, interruptions.postponed)
-        return session.publish(progress), session.failures()
-
-
-def _left_alone(session: Session, progress: Progress) -> tuple[Labelled, dict[str, str]]:
-    assert session.store is not None, "it has more points"
-    where = session.store.location
-    progress.say(f"{where} has all that this study asks for; it is left as it is, and these are its points")
-    return session.part()
+        return session.publish(progress)

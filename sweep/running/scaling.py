@@ -91,9 +91,7 @@ def _check(study: Study, workers: Sequence[int], repetitions: int) -> None:
     problems = []
     if list(workers) != sorted(set(workers)) or workers[0] != 1 or workers[-1] > MAX_WORKERS:
         listed = ",".join(map(str, workers))
-        problems.append(
-            f"workers = {listed}: must increase from 1, which all is compared with, to {MAX_WORKERS} at most"
-        )
+        problems.append(f"workers = {listed}: must increase from 1, with which all is compared, to <= {MAX_WORKERS}")
     if repetitions < 1:
         problems.append(f"repetitions = {repetitions}: must be >= 1")
     if study.sampling.precision is not None:

@@ -19,7 +19,7 @@ from linksweep.sweep.formatting import in_words, per_second
 from linksweep.sweep.planning.grid import Grid, describe, failures_by_place
 from linksweep.sweep.planning.plan import Plan
 from linksweep.sweep.planning.union import rounds_of
-from linksweep.sweep.running.progress import Reasons
+from linksweep.sweep.running.progress import reasons_of
 from linksweep.sweep.stores.integrity import MANIFEST, ROOT, STORE, newest
 from linksweep.sweep.stores.ledger import Record, read_failures, read_keys
 from linksweep.sweep.stores.location import Location, Where, holder, located, reading
@@ -40,16 +40,6 @@ FEWEST_ACROSS = 40
 SHARE, LONGEST_S = 0.008, 20.0
 
 MISSING, DONE, FAILED, EXCLUDED, _ = map(int, Status)
-
-
-class PointStates(NamedTuple):
-    """How far each point is, indexed like the grid: its ``status``, its ``realisations``, and which ``share`` of those
-    that are wanted these are, 0 where it failed.
-    """
-
-    status: NDArray[np.int8]
-    realisations: NDArray[np.int64]
-    share: NDArray[np.float64]
 
 
 class _Points:
@@ -92,9 +82,10 @@ class _Points:
         at = np.minimum(np.searchsorted(self._starts, starts), len(self._starts) - 1)
         return np.where(self._starts[at] == starts, self._indices[at], -1)
 
-    def progress(self, opened: OpenStore, blocks: NDArray[Any], failed: Iterable[bytes]) -> PointStates:
+    def progress(self, opened: OpenStore, blocks: NDArray[Any], failed: Iterable[bytes]) -> list[NDArray[Any]]:
         """Return how far the points are from the `blocks` in the ledger of a store and the digests of those that
-        ``failed``.  With a precision only the experiment can say which are done: those of the last writing.
+        ``failed``: status, realisations, and which share of those that are wanted these are, 0 where it failed.  With a
+        precision only the experiment can say which are done: those of the last writing.
         """
         index, numbers = blocks.astype(np.int64)
         realisations = np.bincount(index, numbers, len(self.grid)).astype(np.int64)
@@ -105,8 +96,7 @@ class _Points:
         at = self.find(_numbers(failed)[:, 0])
         status = np.select([self.wanted == 0.0, share == 1.0], [EXCLUDED, DONE], MISSING).astype(np.int8)
         status[at[at >= 0]], share[at[at >= 0]] = FAILED, 0.0
-        everywhere = self.grid.with_repeats
-        return PointStates(everywhere(status), everywhere(realisations), everywhere(share))
+        return [self.grid.with_repeats(one) for one in (status, realisations, share)]
 
     def blocks(self, keys: NDArray[np.uint64]) -> NDArray[Any]:
         """Return the point and the realisations of each block of this study with one of these keys, (2, blocks)."""
@@ -273,9 +263,8 @@ class Watched:
                 self._files = root, manifest
         except (ValueError, LookupError, TypeError, ArithmeticError, MemoryError, RuntimeError) as error:
             if holder(self.location) is None:  # else its run has replaced a file meanwhile
-                raise SweepError(
-                    f"its ledger cannot be read ({error}); `sweep check` says more", str(self.location)
-                ) from error
+                why = f"its ledger cannot be read ({error}); `sweep check` says more"
+                raise SweepError(why, str(self.location)) from error
 
     def _open(self, root: bytes | None) -> tuple[OpenStore, _Points]:
         """Return the store and its points, as they were if the root is as it was."""
@@ -308,9 +297,8 @@ class Watched:
 
     def _keep(self, failed: dict[bytes, Record]) -> None:
         if failed != self._failed:
-            reasons, by_place = Reasons(), {record["place"]: record for record in failed.values()}
-            for record in failed.values():
-                reasons.add(record["place"], record["message"])
+            by_place = {record["place"]: record for record in failed.values()}
+            reasons = reasons_of({place: record["message"] for place, record in by_place.items()})
             self.reasons = [(points, by_place[reasons.first[kind][0]]) for kind, points in reasons.most()]
         self._failed = failed
 

@@ -305,7 +305,9 @@ class _Code(_Part):
     code: Texts
 
 
-class _Attributes(_Part):
+class Attributes(_Part):
+    """The attributes of a root document."""
+
     store_id: str
     generation: Count
     complete: Literal[0, 1] = 0
@@ -348,8 +350,10 @@ class _Attributes(_Part):
     common_random_numbers: Literal[0, 1] = 0
 
 
-class _Root(_Part):
-    attributes: _Attributes
+class Root(_Part):
+    """A root document."""
+
+    attributes: Attributes
     consolidated_metadata: _Arrays
 
     @model_validator(mode="after")
@@ -360,16 +364,6 @@ class _Root(_Part):
         if listed != Counter(expected):
             raise ValueError("it has other checksums than chunks")
         return self
-
-
-def check_root(document: Mapping[str, Any]) -> None:
-    """Raise ValueError, which names the first field, for a root document that linksweep does not write."""
-    checked(_Root, document)
-
-
-def check_attributes(attributes: Mapping[str, Any]) -> None:
-    """Raise ValueError for attributes of a root document that linksweep does not write."""
-    checked(_Attributes, {**attributes, "generation": 0})
 
 
 def checked(kind: type[Model], document: Any) -> Model:

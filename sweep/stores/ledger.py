@@ -330,12 +330,11 @@ class Ledger:
 
     def verify(self) -> None:
         """Add to ``damaged`` the samples and chunks that are not what was written; opening has checked the rest."""
-        for chunk in self.chunks:
-            with reading(self._location), noting(self.damaged, file_of(chunk)):
-                integrity.whole(self._location.get(file_of(chunk)), chunk.hex())
-        for file in (part.samples for part in self.parts if part.samples):
-            with reading(self._location), noting(self.damaged, path_of(file)):
-                integrity.whole(self._location.get(path_of(file)), file.checksum)
+        checksums = {file_of(chunk): chunk.hex() for chunk in self.chunks}
+        checksums |= {path_of(part.samples): part.samples.checksum for part in self.parts if part.samples}
+        for file, checksum in checksums.items():
+            with reading(self._location), noting(self.damaged, file):
+                integrity.whole(self._location.get(file), checksum)
 
     def append(
         self, keys: Sequence[bytes], rows: Rows, samples: Sequence[Array] = (), seconds: ArrayLike = np.nan

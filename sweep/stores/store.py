@@ -157,11 +157,8 @@ class Store(OpenStore):
         if (dtype, samples_width) == (self._ledger.dtype, self._ledger.samples_width):
             return
         if self.rows and not (_fits(self._ledger.dtype, dtype) and samples_width == self._ledger.samples_width):
-            raise SweepError(
-                "another version of linksweep made this store, with other sums in its ledger: its results can be read, "
-                "but to compute more run the study into a new store with -o",
-                str(self.location),
-            )
+            words = "was made by another version of linksweep, with other sums; its results can be read, but to compute"
+            raise SweepError(f"{words} more run the study into a new store with -o", str(self.location))
         lost, keys = lost_integers(self._ledger.read(), dtype), self.rows.keys_of_rows()
         self._ledger.retype(dtype, samples_width, [keys[row] for row in lost if keys[row] in self.rows])
 
@@ -341,9 +338,7 @@ def store_at(where: Where) -> OpenStore | None:
             raise SweepError(obstacle, str(location))
         return None
     if RESCUED in root["attributes"]:
-        raise SweepError(
-            "holds results of a store that was lost, and no ledger; give another one with -o", str(location)
-        )
+        raise SweepError("holds results of a store that was lost; give another one with -o", str(location))
     return OpenStore(location, root)
 
 
@@ -426,7 +421,7 @@ def find_root(location: Location) -> dict[str, Any] | None:
         try:
             root = integrity.unsealed(content, ROOT)
             _check_format(root["attributes"], where)
-            integrity.check_root(root)
+            integrity.checked(integrity.Root, root)
             return root
         except (ValueError, KeyError) as error:
             if readable_copy(location) is not None:
@@ -442,26 +437,18 @@ def find_root(location: Location) -> dict[str, Any] | None:
                     ) from error
                 _check_format(attributes, where)
             if location.get(MANIFEST) is not None or any(mark in (content or b"") for mark in MARKS):
-                raise SweepError(
-                    f"{ROOT} and its copy in {ledgers.FOLDER} are both damaged, and nothing tells what the numbers "
-                    "mean; bring one back from a backup, or run the study into a new store with -o",
-                    where,
-                ) from error
-            raise SweepError(
-                "is not a store of linksweep (foreign or half-made); nothing was changed", where
-            ) from error
+                ways = "so bring one back from a backup, or run the study into a new store with -o"
+                raise SweepError(f"{ROOT} and its copy in {ledgers.FOLDER} are both damaged, {ways}", where) from error
+            raise SweepError("is not a store of linksweep (foreign or half-made)", where) from error
 
 
 def _check_format(attributes: Mapping[str, Any], where: str) -> None:
     """Raise SweepError for a store of a format that this version does not read; KeyError for what is no store."""
     version = attributes[FORMAT_OF]
     if version != FORMAT and isinstance(version, int):
-        age = "older: run the study into a new store with -o"
-        if version > FORMAT:
-            age = "newer: upgrade with `pip install -U linksweep`"
-        raise SweepError(
-            f"has store format {version}; this version of linksweep reads format {FORMAT}. It is {age}", where
-        )
+        is_newer, old = version > FORMAT, "older: run the study into a new store with -o"
+        age = "newer: upgrade with `pip install -U linksweep`" if is_newer else old
+        raise SweepError(f"has store format {version}; this version reads format {FORMAT}. It is {age}", where)
     if version != FORMAT:
         raise KeyError(FORMAT_OF)
 
@@ -485,7 +472,7 @@ def readable_copy(location: Location) -> dict[str, Any] | None:
         manifest = integrity.read_manifest(location.get(MANIFEST))
         file = manifest.documents["study"]
         attributes: dict[str, Any] = json.loads(integrity.whole(location.get(ledgers.path_of(file)), file.checksum))
-        integrity.check_attributes(attributes)
+        integrity.checked(integrity.Attributes, {**attributes, "generation": 0})
     except (ValueError, LookupError, RecursionError):
         # Who asks has a damaged root already, and says so.
         return None
