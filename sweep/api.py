@@ -289,8 +289,8 @@ class Card:
 def _picture(dataset: xr.Dataset) -> str:
     """Return the figure as an image that is part of the page; a sentence where there is none."""
     try:
-        from linksweep.sweep.plots.figure import description, draw_figure
-        from linksweep.sweep.plots.style import settings
+        from linksweep.sweep.plots.figure import draw_figure
+        from linksweep.sweep.plots.style import description, settings
     except ImportError:
         return "<p><small>A figure needs Matplotlib: <code>pip install 'linksweep[plot]'</code></small></p>"
     out = io.BytesIO()

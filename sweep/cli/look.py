@@ -196,10 +196,8 @@ def plot(
     # Before a large store is read and drawn.
     styles.require_format(path)
     with styles.settings(width, style):
-        from linksweep.sweep.plots.figure import caption_and_description
-
         figure, dataset = drawn.figure()
-        styles.save(figure, path, caption_and_description(figure, dataset) if caption else "")
+        styles.save(figure, path, styles.caption_and_description(figure, dataset) if caption else "")
     for written in (path, path.with_suffix(".txt"))[: 1 + caption]:
         click.echo(f"wrote {written}", err=True)
 

@@ -31,16 +31,16 @@ class GridFigure(NamedTuple):
 
 KINDS: Mapping[str, Mapping[str, Kind]] = {
     "grid": {  # of type GridFigure, the others are functions of a dataset
-        "lines": Kind("grid:LINES"),
-        "law": Kind("grid:LAW"),
-        "map": Kind("grid:MAP"),
-        "scatter": Kind("grid:SCATTER"),
-        "points": Kind("grid:POINTS"),
-        "pairs": Kind("grid:PAIRS"),
-        "curves": Kind("grid:CURVES"),
+        "lines": Kind("figure:LINES"),
+        "law": Kind("figure:LAW"),
+        "map": Kind("figure:MAP"),
+        "scatter": Kind("figure:SCATTER"),
+        "points": Kind("figure:POINTS"),
+        "pairs": Kind("figure:PAIRS"),
+        "curves": Kind("figure:CURVES"),
     },
-    "scaling": {"scaling": Kind("grid:scaling_figure")},
-    "sensitivity": {"sensitivity": Kind("grid:sensitivity_figure")},
+    "scaling": {"scaling": Kind("figure:scaling_figure")},
+    "sensitivity": {"sensitivity": Kind("figure:sensitivity_figure")},
     "catalogue": {"sky": Kind("link:sky_figure"), "accuracy": Kind("link:accuracy_figure")},
     "tie": {
         "solution": Kind("link:solution_figure", "The unknowns with errors of several kinds"),

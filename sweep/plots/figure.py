@@ -1,21 +1,29 @@
-"""The figure of a dataset: the kind that suits it or that is asked for, with its title, its caption, and a description
-for those who cannot see it.
+"""The figure of a dataset: the kind that suits it or that is asked for, with its title.
+
+Figures of results of a study are here: a quantity over the axes of a grid, in small panels of lines with errors,
+prediction and published values, or of maps, and a fitted law; points without an order, those of a table or a design,
+over each parameter, in pairs and as curves; and the kept samples of a single point.
 """
 
+import json
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from functools import partial
+from itertools import product
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
-from matplotlib import container, lines
+from matplotlib import colors, patheffects, ticker, transforms
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from linksweep.sweep import formatting
-from linksweep.sweep.analysis import answer, quantity
-from linksweep.sweep.contract import Status, SweepError, shown, suggest
-from linksweep.sweep.plots import KINDS, grid, style
+from linksweep.sweep.analysis import laws, quantity
+from linksweep.sweep.contract import Array, Status, SweepError, shown, suggest
+from linksweep.sweep.planning.union import REFINED
+from linksweep.sweep.plots import KINDS, GridFigure, style
 from linksweep.sweep.result import Result
 from linksweep.sweep.studies.study import POINT
 
@@ -25,20 +33,30 @@ MAP_POINTS, MAP_PANELS, CURVE_POINTS = 5, 6, 8
 
 _DATE = re.compile(r"\d{4}-\d\d-\d\d([T ]\d\d(:\d\d(:\d\d(\.\d+)?)?)?)?")
 
-MOST_PANELS = 6  # that a description names
-MOST_RANGES = 3  # quantities or components whose ranges a caption gives
+MOST_PANELS = 24
+MOST_ACROSS = 4  # panels side by side; more of them continue in further rows
+FEW_POINTS = 300  # more points than this are drawn small and without errors
+MOST_MARKERS = 40  # more points on a line than this have no markers
+FEWEST_STEPS = 3  # of an axis, which then has colours of a ramp
+MOST_VECTORS = 2000  # more points than this are drawn as one image
+WIDE_COLOURS = 20.0  # values that span more than this factor have logarithmic colours
+FAR = 30.0  # series whose largest values differ by more than this factor need panels with axes of their own
 
-# What no label of a figure explains.
-UNLABELLED = {
-    grid.ERROR_BAND: "Bands join the errors of the points.",
-    grid.PREDICTION_BAND: "Vertical bars behind dashes are the one-sigma errors of the predictions.",
-    grid.LAW_BAND: "Bands are the one-sigma errors of the fitted laws.",
-    grid.JOINED: "Thin lines join the points.",
-    grid.ALONE: "Markers are points without a neighbour on their line.",
-    grid.RUNNING: "Markers with a white centre are values so far, of points that are not done.",
-    grid.WITHOUT: "Dotted lines are points on which the parameter along the axis has no effect.",
-    style.MOVED: "Markers that cover each other are drawn a little to the left or right of them; lines are not.",
+OPEN: dict[str, Any] = {
+    "linestyle": "none",
+    "marker": "o",
+    "markersize": 4.5,
+    "fillstyle": "none",
+    "markeredgewidth": 0.8,
 }
+# Dashes of predictions have one of the first two widths, or together the third, in points of print.
+NARROWEST_DASH, WIDEST_DASH, ALL_DASHES = 3.0, 10.0, 150.0
+EDGE_PT = WIDEST_DASH / 2.0 + 2.0  # what a mark at the end of an axis needs, so that it is not cut off
+# Points closer than the first share of the axis cover each other; if more than the second share do, they are moved
+# aside, so many points of print from their places at most.
+COVERED, COVERED_SHARE, ASIDE_PT = 0.015, 0.25, 4.5
+
+BAND = "band"  # the attribute of a difference: how far it may be from zero by chance
 
 
 def draw_figure(
@@ -104,7 +122,7 @@ def _study_figure(dataset: xr.Dataset, kind: str | None, variables: list[str], o
     single = [d for d in dataset["status"].dims if dataset.sizes[d] == 1]
     one_point = len(single) == dataset["status"].ndim
     only_samples = one_point and not variables and not any(name in dataset.coords for name in over)
-    if grid.sampled(dataset) is not None and (kind == "scatter" or (kind is None and only_samples)):
+    if sampled(dataset) is not None and (kind == "scatter" or (kind is None and only_samples)):
         return _draw(dataset, dataset.squeeze(single), "scatter", variables, over)
     if (dataset["status"].values == Status.EXCLUDED).all():
         raise SweepError("every point is excluded by the study")
@@ -114,9 +132,7 @@ def _study_figure(dataset: xr.Dataset, kind: str | None, variables: list[str], o
     dataset = dataset.assign_coords({d: dataset[d] for name in names for d in dataset[name].dims})
     dataset = _where_known(dataset, names[0])
     _require_values(dataset, names)
-    unused = [d for d in single if d not in over]
-    # something has to be drawn along
-    part = style.with_chosen_component(dataset.squeeze(unused[len(unused) == dataset["status"].ndim :]))
+    part = style.with_chosen_component(dataset.squeeze([d for d in single if d not in over]))
     possible = [name for name, one in KINDS["grid"].items() if one.load().possible(part, names[0])]
     chosen = kind or _suitable(part, names[0], over)
     if chosen not in possible:
@@ -205,85 +221,733 @@ def _require_values(dataset: xr.Dataset, names: list[str]) -> None:
         raise SweepError(f"{' and '.join(names)}: there is no value to draw here{why}")
 
 
-# Captions
+# Panels
+
+Draw = Callable[[Axes, xr.Dataset, str], None]
+"""A function that draws a variable of a dataset into a panel."""
 
 
-def caption_and_description(figure: Figure, dataset: xr.Dataset) -> str:
-    """Return the text of a file beside a picture: its caption, and a description under a heading of its own."""
-    return f"{caption(figure, dataset, with_answer=True)}\n\nAlternative text: {description(figure, dataset)}\n"
-
-
-def caption(figure: Figure, dataset: xr.Dataset, with_answer: bool = False) -> str:
-    """Return the caption: the title, what the signs mean, and on request the answer of the study, or else the ranges
-    of what is drawn.
+class Layout(NamedTuple):
+    """Dimensions that become columns and rows of panels; ``far`` if columns differ so much that each needs a scale of
+    its own.  All others become colours.
     """
-    title = str(figure.get_label())
-    parts = [f"{title}." if title and not title.endswith((".", "?", "!")) else title, *_signs(figure, dataset)]
-    if with_answer and "status" in dataset:
-        sentences = answer.conclusion_in_words(dataset) or _ranges(figure, dataset)
-        parts += map(formatting.with_micro_signs, [*answer.completeness(dataset), *sentences])
-    return " ".join(filter(None, parts))
+
+    columns: str | None = None
+    rows: str | None = None
+    far: bool = False
 
 
-def description(figure: Figure, dataset: xr.Dataset) -> str:
-    """Return what is seen: the panels, what each draws against what, and the range of values."""
-    panels, signs = style.panels_of(figure), list(style.legend_entries(figure))
-    labels = (str(artist.get_label()) for axes in panels for artist in style.labelled(axes))
-    signs += [label.removeprefix(style.AT_END) for label in labels if label.startswith(style.AT_END)]
-    bars = [axes.get_ylabel() for axes in figure.axes if axes not in panels and axes.get_ylabel()]
-    drawn = (" against ".join(filter(None, [_label(axes, "y"), _label(axes, "x")])) or "a picture" for axes in panels)
-    titles = formatting.first_of([title for axes in panels if (title := axes.get_title())], MOST_PANELS, "; ")
-    parts = [
-        f"Drawn: {formatting.first_of(list(dict.fromkeys(drawn)), MOST_PANELS, '; ')}",
-        ": ".join(filter(None, [f"{len(panels)} panels", titles])) if len(panels) > 1 else "",
-        f"Colours: {' and '.join(bars)}" if bars else "",
-        f"Legend: {', '.join(signs)}" if len(signs) > 1 else "",
-    ]
-    sentences = [f"{text}." for text in map(style.plain, filter(None, parts))]
-    return " ".join([*sentences, *map(formatting.with_micro_signs, _ranges(figure, dataset))])
+def arrange(dataset: xr.Dataset, variable: str, along: Sequence[str], series: bool = True) -> Layout:
+    """Return the layout of the dimensions of a variable other than those of the axes it is drawn ``along``.
+
+    The dimension along which values differ most becomes columns, if there are several or values differ by more than
+    `FAR`.  The others become colours, and one of them rows if there are three or more.  With ``series = False`` none
+    becomes colours.
+    """
+    array, used = dataset[variable], {dataset[axis].dims[0] for axis in along}
+    left = [str(d) for d in array.dims if d not in used and array.sizes[d] > 1]
+    left.sort(key=lambda d: -_separation(array, d))
+    if not series and len(left) > 2:
+        raise _too_many(dataset, left)
+    columns = left[0] if left else None
+    far = columns is not None and _separation(array, columns) > FAR and array.sizes[columns] <= len(style.COLOURS)
+    rows = None
+    if len(left) > (2 if series else 1):  # the one with the fewest numbers
+        rows = min(left[1:], key=lambda d: (array[d].dtype.kind not in "if", array.sizes[d]))
+    if series and len(left) == 1 and not far:
+        columns = None
+    return Layout(columns, rows, far)
 
 
-def _signs(figure: Figure, dataset: xr.Dataset) -> list[str]:
-    """Return a sentence for each kind of sign in a figure that its labels do not explain."""
-    entries = style.legend_entries(figure)
-    labels = {artist.get_label() for axes in figure.axes for artist in axes.get_children()}
-    drawn = dict.fromkeys(str(axes.get_label()) for axes in figure.axes if _has_error_bars(axes))
-    names = [name for name in drawn if name in dataset]
-    sentences = []
-    if any(quantity.standard_error(dataset, name) is not None for name in names):
-        sentences.append("Points are simulated, with one-sigma errors.")
-    declared = dict.fromkeys(bars[0] for name in names if (bars := quantity.errors_beside(dataset, name)))
-    sentences += [f"Error bars are {name}." for name in declared]
-    if style.PREDICTED in entries:
-        dashes = isinstance(entries[style.PREDICTED], lines.Line2D)
-        sentences.append(f"{'Dashes are predicted' if dashes else 'The prediction is'} in closed form.")
-    if style.PUBLISHED in entries:
-        sources = sorted({str(v.attrs["source"]) for v in dataset.data_vars.values() if "source" in v.attrs})
-        sentences.append(": ".join(filter(None, ["Open symbols are published", "; ".join(sources)])) + ".")
-    return sentences + [words for label, words in UNLABELLED.items() if label in labels]
+def _too_many(dataset: xr.Dataset, dimensions: Sequence[str]) -> SweepError:
+    sizes = ", ".join(f"{d} ({dataset.sizes[d]})" for d in dimensions)
+    return SweepError(f"{sizes}: too many for one picture; fix some with --at AXIS=VALUE")
 
 
-def _has_error_bars(axes: Axes) -> bool:
-    known = [one for one in axes.containers if isinstance(one, container.ErrorbarContainer)]
-    bars = [one for one in known if one.has_xerr or one.has_yerr]
-    return any(str(one.get_label()).lstrip("_") != style.PUBLISHED for one in bars)
+def _separation(array: xr.DataArray, dimension: str) -> float:
+    """Return the ratio between the largest and the smallest of the largest values along a dimension."""
+    largest = abs(array).max([d for d in array.dims if d != dimension], skipna=True).values
+    largest = largest[np.isfinite(largest) & (largest > 0.0)]
+    return float(largest.max() / largest.min()) if largest.size else 1.0
 
 
-def _ranges(figure: Figure, dataset: xr.Dataset) -> list[str]:
-    """Return a sentence about the values of each quantity that a figure draws: the labels of its axes."""
-    if "status" not in dataset:
+def series_of(dataset: xr.Dataset, variable: str, *along: str) -> list[tuple[str, xr.Dataset]]:
+    """Return what has a colour of its own: the part of a dataset for every combination of the dimensions of a variable,
+    except those it is drawn ``along``, that has a value, with its name; raises SweepError for more parts than colours.
+    """
+    others = [str(d) for d in dataset[variable].dims if d not in along]
+    everything = [dataset.isel(place) for place in quantity.places_along(dataset, others)]
+    parts = [one for one in everything if np.isfinite(one[variable].values).any()]  # a study may exclude the others
+    if len(parts) > len(style.COLOURS):
+        raise _too_many(dataset, others)
+    named = [d for d in others if d in dataset.coords and dataset.sizes[d] > 1]
+    return [(style.values_text(dataset, {d: quantity.listed(one, d, [])[0] for d in named}), one) for one in parts]
+
+
+def draw_panels(dataset: xr.Dataset, variables: list[str], layout: Layout, draw: Draw, alike: bool = False) -> Figure:
+    """Return a figure of panels: columns and rows as the layout says, variables as columns if there are several.
+
+    Panels that would be empty are left out.  Those whose values differ by orders of magnitude have axes and units of
+    their own, unless ``alike``.  If the figure is too narrow for the columns, they continue in further rows.
+    """
+    columns, rows, far = layout
+    if len(variables) > 1:
+        if rows is not None:
+            raise SweepError("several variables leave room for one dimension of panels: fix others by --at AXIS=VALUE")
+        columns, rows = None, columns
+    panels = list(_panels(dataset, variables, columns, rows, layout.columns if far and not alike else None))
+    if len(panels) > MOST_PANELS:
+        raise _too_many(dataset, [d for d in (columns, rows) if d is not None])
+    wanted = len(panels) if rows is None else len(variables) * (dataset.sizes[columns] if columns else 1)
+    down = -(-len(panels) // min(style.most_columns(wanted), MOST_ACROSS))  # rounded up
+    across = -(-len(panels) // down)
+    size = (6.4, 4.4) if len(panels) == 1 else (1.2 + 3.1 * across, 1.2 + 2.4 * down)
+    figure, grid = style.new_figure(*size, down, across, n=len(panels))
+    firsts: dict[tuple[Any, ...], Axes] = {}
+    for number, (axes, (part, name, title, shares)) in enumerate(zip(grid, panels, strict=False)):
+        if number:
+            axes.sharex(grid[0])
+        if firsts.setdefault(shares, axes) is not axes:
+            axes.sharey(firsts[shares])
+        draw(axes, part, name)
+        axes.set_label(name)  # for the caption
+        width, height = style.panel_size(axes)
+        width -= style.BESIDE_INCHES / across if alike else 0.0  # of the colour bar
+        axes.set_title(style.in_lines(title, width))
+        # not label_outer: a neighbour may have a scale of its own, and that below may be missing
+        has_y = number % across == 0 or panels[number - 1][-1] != shares
+        has_x = number + across >= len(panels)
+        axes.tick_params(which="both", labelleft=has_y, labelbottom=has_x)
+        axes.set_xlabel(style.in_lines(axes.get_xlabel(), width) if has_x else "")
+        axes.set_ylabel(style.in_lines(axes.get_ylabel(), height) if has_y else "")
+    return figure
+
+
+def _panels(
+    dataset: xr.Dataset, variables: list[str], columns: str | None, rows: str | None, far: str | None
+) -> Iterator[tuple[xr.Dataset, str, str, tuple[Any, ...]]]:
+    """Yield the panels that have anything to show, row by row: the part of the dataset in readable units, the variable,
+    the title, and what shares the y axis; those along ``far`` have units of their own.
+    """
+    across = list(product(variables, quantity.places_along(dataset, [columns] if columns else [])))
+    wholes = dict[tuple[Any, ...], xr.Dataset]()  # of all panels that share an axis: arrays may be large
+    for row in quantity.places_along(dataset, [rows] if rows else []):
+        for name, column in across:
+            place = row | column
+            alone = {d: i for d, i in place.items() if d == far}
+            shares = (name, *alone.items())
+            if shares not in wholes:
+                whole = quantity.in_readable_units(dataset.isel(alone))
+                scale = "log" if style.is_logarithmic(whole[name]) else "linear"
+                wholes[shares] = whole.assign({name: whole[name].assign_attrs({style.SCALE: scale})})
+            part = wholes[shares].isel({d: i for d, i in place.items() if d not in alone})
+            if np.isfinite(part[name].values.astype(float)).any():
+                values = {d: quantity.listed(dataset, d, [d])[i] for d, i in place.items()}
+                yield part, name, style.values_text(dataset, values), shares
+
+
+# Lines
+
+
+def one_axis(dataset: xr.Dataset, variable: str, over: Sequence[str]) -> str:
+    """Return the axis to draw along: the one asked for, or the longest numeric one, or the longest."""
+    numeric = quantity.numeric_axes(dataset, variable, "ifM")
+    grid = {*dataset["status"].dims} - {POINT}
+    axes = [str(n) for n, c in dataset.coords.items() if c.ndim == 1 and c.dims[0] in grid] + numeric
+    # names of components only if they are asked for or alone
+    own = [d for d in quantity.own_dimensions(dataset, variable) if d in dataset.coords]
+    axes += own if over or not axes else []
+    if over and (len(over) > 1 or over[0] not in axes):
+        known = ", ".join(dict.fromkeys(axes)) or "none"
+        raise SweepError(f"{', '.join(over)} is not one axis to draw along; there are {known}")
+    return over[0] if over else (numeric or sorted(axes, key=lambda n: -dataset[n].size))[0]
+
+
+def _lines_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
+    if all(dataset[name].size == 1 for name in variables) and not over:
+        figure = draw_panels(dataset.squeeze(), variables, Layout(), _draw_point)
+        figure.set_figheight(max(1.0 + 0.3 * figure.get_figwidth(), style.in_letters(20.0)))
+        return figure
+    axis = one_axis(dataset, variables[0], over)
+    draw = partial(draw_lines, over=axis, numbers={})
+    return draw_panels(dataset, variables, arrange(dataset, variables[0], [axis]), draw)
+
+
+def draw_lines(axes: Axes, dataset: xr.Dataset, variable: str, over: str, numbers: dict[str, int]) -> None:
+    """Draw a variable against an axis of the grid, one colour for every combination of the other dimensions.
+
+    ``numbers`` holds the number of each series, by its name, for all panels of a figure: each keeps its colour even if
+    another series has no values in a panel.
+
+    Points have their one-sigma errors (Monte Carlo and catalogues), and thin lines join them.  Dashes are the
+    closed-form prediction, which is known at the points alone, on bars of its catalogue error.  Open symbols are
+    published values with half a unit of their last digit.
+    """
+    x = positions(axes, dataset, over, "x")
+    dimension = str(dataset[over].dims[0])
+    order = np.argsort(x, kind="stable")
+    dataset, x = dataset.isel({dimension: order}), x[order]
+    steps = _steps(dataset, variable, dimension)
+    numbers.update(zip(steps, range(len(steps)), strict=True))
+    named = series_of(dataset, variable, dimension)
+    seen = [one for _, one in named]
+    joined = dataset[over].dtype.kind in "ifM" and dimension != POINT and len(x) > 1
+    joined = joined and not formatting.is_truth(dataset[variable])
+    offsets = _offsets(dataset[variable], seen)
+    for (name, one), offset in zip(named, offsets, strict=True):
+        mark = style.series(numbers.setdefault(name, len(numbers)), len(steps))
+        _draw_series(axes, x, one, variable, name, mark, offset, joined)
+    colour = style.COLOURS[0] if len(numbers) == 1 else "0.35"
+    known = {part for one in seen for part in quantity.parts_of(one, variable)}
+    if "predicted" in known:
+        axes.plot([], [], color=colour, label=style.PREDICTED, markersize=WIDEST_DASH, **style.DASH)
+    if "published" in known:
+        axes.plot([], [], color="0.15", **OPEN, label=style.PUBLISHED)
+    if any(offsets) and not (joined and len(x) > MOST_MARKERS):
+        axes.plot([], [], linestyle="none", label=style.MOVED)
+    if half := dataset[variable].attrs.get(BAND):
+        axes.axhline(0.0, color="black", linewidth=0.6)
+        axes.axhspan(-half, half, color=style.COLOURS[6], **style.BAND)
+    style.fit_scale(axes, "y", dataset[variable])
+    axes.set(xlabel=style.axis_label(dataset, over), ylabel=style.quantity_label(dataset, variable))
+    axes.margins(x=max(0.05, EDGE_PT / (72.0 * style.panel_size(axes)[0] - 2.0 * EDGE_PT)))
+    if steps and joined and len(axes.figure.axes) == 1:
+        _name_ends(axes, {name: float(one[variable].values[-1]) for name, one in named})
+
+
+def _steps(dataset: xr.Dataset, variable: str, *along: str) -> list[str]:
+    """Return the names of the series of a variable in their order if they are values of one further axis of numbers."""
+    left = [str(d) for d in dataset[variable].dims if d not in along and dataset.sizes[d] > 1]
+    if len(left) != 1 or dataset[left[0]].dtype.kind not in "if" or dataset.sizes[left[0]] < FEWEST_STEPS:
         return []
-    sentences, variables = [], style.with_chosen_component(dataset).data_vars.items()
-    for drawn in dict.fromkeys(str(axes.get_label()) for axes in figure.axes if axes.get_label() in dataset):
-        alone = dataset.assign({name: array.assign_attrs(headline=name == drawn) for name, array in variables})
-        for one in answer.answers(alone):
-            meaning = f" ({one.meaning})" if one.meaning else ""
-            sentences += [f"{one.name}{meaning}: {sentence}" for sentence in one.sentences[:1]]
-    return sentences[:MOST_RANGES]
+    return [style.value_text(dataset, left[0], value) for value in np.sort(dataset[left[0]].values).tolist()]
 
 
-def _label(axes: Axes, which: str) -> str:
-    """Return the label of an axis, or that of the axes that share it and have one."""
-    siblings = getattr(axes, f"get_shared_{which}_axes")().get_siblings(axes)
-    labels = (getattr(one, f"get_{which}label")() for one in (axes, *siblings))
-    return next(filter(None, labels), "")
+def _name_ends(axes: Axes, ends: Mapping[str, float]) -> None:
+    """Write the values that name lines at their ends, if these are apart; the legend then leaves them out."""
+    axes.autoscale_view()  # which is otherwise put off
+    heights = np.sort(axes.transData.transform([(1.0, end) for end in ends.values()])[:, 1])
+    size = 72.0 * style.in_letters(1.0)
+    if not (np.diff(heights) * 72.0 / axes.figure.dpi > 0.85 * size).all():  # some end earlier, or too close
+        return
+    look: dict[str, Any] = {"xycoords": axes.get_yaxis_transform(), "textcoords": "offset points", "fontsize": "small"}
+    for artist in (one for one in style.labelled(axes) if one.get_label() in ends):
+        axis, _, value = str(name := artist.get_label()).partition(" = ")
+        artist.set_label(f"{style.AT_END}{name}")
+        axes.annotate(value, (1.0, ends[name]), (4.0, 0.0), va="center", **look)
+    title = style.in_lines(axis, style.in_letters(8.0))
+    axes.annotate(title, (1.0, max(ends.values())), (4.0, 0.8 * size), va="bottom", **look)
+
+
+def positions(axes: Axes, dataset: xr.Dataset, axis: str, which: str) -> Array:
+    """Return the positions of the values of an axis or a parameter, and set the scale and ticks of ``which`` axis."""
+    array = dataset[axis]
+    if array.dtype.kind in "if":
+        style.fit_scale(axes, which, array)
+        return np.asarray(array.values.astype(float))
+    if array.dtype.kind == "M":
+        scale: Any = axes.xaxis if which == "x" else axes.yaxis
+        with style.settings():  # in whose labels dates do not cover each other
+            scale.update_units(array.values)
+        return np.asarray(scale.convert_units(array.values))
+    values = array.values.tolist()
+    names, is_truth = list(dict.fromkeys(values)), formatting.is_truth(array)
+    texts = [style.SWITCH[name] if is_truth else style.value_text(dataset, axis, str(name)) for name in names]
+    style.name_ticks(axes, which, texts)
+    places = np.array([names.index(value) for value in values], dtype=float)
+    if array.dims == (POINT,):  # spread a little, so that points do not hide each other: golden steps keep them apart
+        places += 0.5 * (np.arange(array.size) * 0.6180339887498949 % 1.0 - 0.5)
+    return places
+
+
+def _offsets(array: xr.DataArray, seen: list[xr.Dataset]) -> list[float]:
+    """Return by how many points of print the markers of each series are moved aside: 0 unless those of two series cover
+    each other in many places.
+    """
+    if len(seen) > 1:
+        values = np.stack([one[array.name].values.astype(float) for one in seen])
+        values = np.log(values) if style.is_logarithmic(array) else values
+        gaps = np.diff(np.sort(values, axis=0), axis=0)
+        covered = gaps[np.isfinite(gaps)] <= COVERED * (np.nanmax(values) - np.nanmin(values))
+        if covered.size and covered.mean() > COVERED_SHARE:
+            outermost = min(ASIDE_PT * (len(seen) - 1) / 2.0, ASIDE_PT)
+            return list(map(float, np.linspace(-outermost, outermost, len(seen))))
+    return [0.0] * len(seen)
+
+
+def _draw_series(
+    axes: Axes, x: Array, one: xr.Dataset, variable: str, name: str, mark: dict[str, Any], offset: float, joined: bool
+) -> None:
+    """Draw one series; only its markers, with their error bars, are moved aside."""
+    if REFINED in one.attrs and one["status"].shape == x.shape:  # other series have points in between
+        there = np.flatnonzero(one["status"].values != Status.EXCLUDED)
+        x, one = x[there], one.isel({one["status"].dims[0]: there})
+    colour, few, is_line = mark["color"], len(x) <= FEW_POINTS, joined and len(x) > MOST_MARKERS
+    parts = quantity.parts_of(one, variable)
+    y = parts["value"].values.astype(float)
+    sigma = parts["error"].values if "error" in parts and (few or is_line) else None
+    look: dict[str, Any] = {**mark, "linestyle": "none", "markersize": 3.5 if few else 2.0, "elinewidth": 0.8}
+    look |= {"zorder": 3, "rasterized": len(x) > MOST_VECTORS, "alpha": 1.0 if few else 0.4}
+    words = name or (style.COMPUTED if quantity.standard_error(one, variable) is None else style.SIMULATED)
+    running = np.broadcast_to(one["status"].values == Status.RUNNING, y.shape)
+    moved = [] if is_line else [axes.errorbar(x, y, yerr=sigma, label=words, **look)]
+    if is_line:
+        # No line shows a point that has no neighbour, and every second one may be done first.
+        alone = np.isfinite(y) & (np.convolve(np.isfinite(y), [1, 0, 1], "same") == 0)
+        if (marked := alone | running).any():
+            error = None if sigma is None else sigma[marked]
+            drawn = axes.errorbar(x[marked], y[marked], error, **look)
+            drawn.lines[0].set_label(style.ALONE if alone.any() else style.RUNNING)  # for the caption
+    if running.any():
+        centre = {
+            **look,
+            "color": "white",
+            "markersize": 0.5 * look["markersize"],
+            "zorder": 3.1,
+            "label": style.RUNNING,
+        }
+        moved.append(axes.errorbar(x[running], y[running], **centre))
+        moved[-1].lines[0].set_label(style.RUNNING)  # for the caption
+    for level in y[np.isnan(x) & np.isfinite(y)]:
+        axes.axhline(level, color=colour, linewidth=1.2, linestyle=":", label=style.WITHOUT)
+    if joined:
+        width, opacity, label = (1.2, 1.0, words) if is_line else (0.8, 0.6, style.JOINED)
+        axes.plot(x, y, color=colour, zorder=2, linewidth=width, alpha=opacity, label=label)
+        if sigma is not None and (is_line or "predicted" not in parts):
+            axes.fill_between(x, y - sigma, y + sigma, color=colour, label=style.ERROR_BAND, **style.BAND)
+    if "predicted" in parts:
+        curve, spread = parts["predicted"].values, one.get(f"{variable}_catalogue_error")
+        width = float(np.clip(ALL_DASHES / len(x), NARROWEST_DASH, WIDEST_DASH))
+        axes.plot(x, curve, color=colour, zorder=2.5, markersize=width, **style.DASH)
+        if spread is not None and np.isfinite(spread).any():
+            half, bar = np.nan_to_num(spread.values), {**style.BAND, "linewidth": 0.6 * width}
+            axes.vlines(x, curve - half, curve + half, color=colour, label=style.PREDICTION_BAND, **bar)
+    if "published" in parts:
+        half = parts["published_rounding"].values if "published_rounding" in parts else None
+        look = {**OPEN, **mark, "color": "0.15", "elinewidth": 0.6, "zorder": 4, "label": f"_{style.PUBLISHED}"}
+        moved.append(axes.errorbar(x, parts["published"].values, yerr=half, **look))
+    aside = transforms.ScaledTranslation(offset / 72.0, 0.0, axes.figure.dpi_scale_trans)
+    for artist in (one for container in moved for one in container.get_children() if offset):
+        artist.set_transform(artist.get_transform() + aside)
+
+
+def _draw_point(axes: Axes, dataset: xr.Dataset, variable: str) -> None:
+    """Draw the value of a variable at the one point of a dataset with its one-sigma error, the prediction and the
+    published value with half a unit of its last digit, each in a line of its own with its numbers.
+    """
+    parts, known = quantity.parts_of(dataset, variable), quantity.standard_error(dataset, variable)
+    rows = {style.COMPUTED if known is None else style.SIMULATED: ("value", "error" if known is not None else "")}
+    rows |= {style.PREDICTED: ("predicted", ""), style.PUBLISHED: ("published", "published_rounding")}
+    rows = {word: row for word, row in rows.items() if row[0] in parts and bool(parts[row[0]].notnull().all())}
+    for number, (word, (name, half)) in enumerate(rows.items()):
+        value, error = parts[name].item(), float(parts[half].item()) if half in parts else 0.0
+        value = bool(value) if formatting.is_truth(dataset[variable]) else value
+        look = style.marks(number, 5.0, label=word, fillstyle="none" if word == style.PUBLISHED else "full")
+        axes.errorbar(float(value), -number, xerr=error or None, elinewidth=1.2, **look)
+        units = formatting.units_of(dataset[variable].attrs)
+        text = formatting.with_unit(value, error if word == style.SIMULATED else 0.0, units)
+        above: dict[str, Any] = {"xytext": (0, 7), "textcoords": "offset points", "ha": "center"}
+        axes.annotate(formatting.with_micro_signs(text), (value, -number), **above)
+    axes.set_yticks([-number for number in range(len(rows))], list(rows))
+    axes.set_ylim(0.6 - len(rows), 0.7)
+    axes.margins(x=0.35)
+    style.fit_scale(axes, "x", dataset[variable])
+    axes.set_xlabel(style.quantity_label(dataset, variable))
+    axes.tick_params(axis="y", length=0.0)
+
+
+# Laws
+
+
+def _law_figure(dataset: xr.Dataset, variables: list[str], along: Sequence[str]) -> Figure:
+    """Return a figure of a variable against an axis on logarithmic scales, with the fitted power law and its one-sigma
+    band; and below that the residuals from the law in percent, where errors can be seen.
+
+    There is one colour for every combination of the other dimensions that the study does not exclude everywhere.  The
+    dashed guide has the exponent that a claim of the study states, and meets the law at its pivot.
+    """
+    variable = variables[0]
+    over = quantity.require_axis(dataset, variable, (list(along) or quantity.numeric_axes(dataset, variable))[0])
+    if linear := [name for name in (over, variable) if dataset[name].attrs.get(style.SCALE) == "linear"]:
+        raise SweepError(f"a law is drawn on logarithmic axes, and {linear[0]} is to have a linear one")
+    series_of(dataset, variable, str(dataset[over].dims[0]))  # which are not too many
+    figure, (upper, lower) = style.new_figure(6.4, 5.2, 2, sharex=True, height_ratios=(3, 1))
+    dataset = quantity.in_readable_units(dataset)
+    made, result = laws.lines(dataset, variable, over), laws.fit_power_law(dataset, variable, over)
+    steps = _steps(dataset, variable, str(dataset[over].dims[0]))
+    for number, line in enumerate(line for line in made.lines if len(line.x)):
+        x, y, errors = line.x, line.y, line.errors
+        look, place = style.marks(number, 3.5, len(steps)), made.place(line)
+        words = style.values_text(dataset, {d: place[d] for d in made.dims if made.grid.sizes[d] > 1})
+        error = np.nan_to_num(errors if errors.ndim == 1 else np.sqrt(np.diag(errors)))
+        law, fine = result.isel(line.index), np.geomspace(x.min(), x.max(), 100)
+        names = ("exponent", "exponent_error", "amplitude", "amplitude_error", "correlation", "pivot")
+        power, power_error, height, height_error, correlation, pivot = (law[name].item() for name in names)
+        curve, there = (height * (at / pivot) ** power for at in (fine, x))
+        spread, tilt = height_error / height, np.log(fine / pivot) * power_error
+        square = np.nan_to_num(spread**2 + tilt**2 + 2.0 * correlation * spread * tilt)
+        half = np.sqrt(np.maximum(square, 0.0)).round(11)
+        band = {"color": look["color"], **style.BAND}
+        known = power_error if power_error > 1e-9 else 0.0  # less is of rounding
+        exponent = formatting.with_error(power, known).replace(" ± ", r"\pm")
+        fitted = _power(dataset, over, exponent)
+        text = f"{words}: {fitted}" if words else style.SIMULATED if error.any() else style.COMPUTED
+        upper.errorbar(x, y, yerr=error if error.any() else None, label=text, **look)
+        upper.plot(fine, curve, color=look["color"], linewidth=1.0, label="" if words else f"fit {fitted}")
+        if half.any():
+            upper.fill_between(fine, curve * (1.0 - half), curve * (1.0 + half), label=style.LAW_BAND, **band)
+        lower.fill_between(fine, -100.0 * half, 100.0 * half, **band)
+        residual = np.round(100.0 * (y / there - 1.0), 9)  # without what is of rounding
+        lower.errorbar(x, residual, yerr=100.0 * error / there, **look)
+        if np.isfinite(expected := law["expected"].item() if "expected" in law else np.nan):
+            guide = height * (fine / pivot) ** expected
+            text = f"guide {_power(dataset, over, format(expected, 'g'))}"
+            upper.plot(fine, guide, label=text, **style.GUIDE)  # the legend names alike ones once
+            lower.plot(fine, 100.0 * (guide / curve - 1.0), **style.GUIDE)
+    style.logarithmic(upper, "x", dataset[over].values)  # also of the lower axes, which share x
+    style.logarithmic(upper, "y", dataset[variable].values)
+    upper.set_label(variable)
+    upper.set_ylabel(style.quantity_label(dataset, variable))
+    lower.axhline(0.0, color="black", linewidth=0.6)
+    lower.set(xlabel=style.label(dataset[over], over), ylabel="residual [%]")
+    return figure
+
+
+def _power(dataset: xr.Dataset, over: str, exponent: str) -> str:
+    """Return the axis to a power, as mathematics."""
+    name = style.symbol(over, dataset[over].attrs)
+    base = name.strip("$") if name.startswith("$") else rf"\mathrm{{{name}}}".replace(" ", r"\ ")
+    return f"${base}^{{{exponent}}}$"
+
+
+# Maps
+
+
+def _map_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
+    variable, numeric = variables[0], quantity.numeric_axes(dataset, variables[0])
+    chosen = [quantity.require_axis(dataset, variable, axis) for axis in over or _two_axes(dataset, variable)]
+    if len(chosen) != 2 or len({dataset[axis].dims[0] for axis in chosen}) != 2:
+        wanted, got = ", ".join(numeric), ", ".join(chosen) or "none"
+        raise SweepError(f"a map needs two axes that are crossed, of {wanted}; not {got}")
+    layout, readable = arrange(dataset, variable, chosen, series=False), quantity.in_readable_units(dataset)
+    draw = partial(draw_map, x=chosen[0], y=chosen[1], limits=colour_limits(readable[variable]))
+    figure = draw_panels(readable, variables, layout, draw, alike=True)
+    mesh = figure.axes[0].collections[0]  # all panels share their colours
+    style.add_bar(figure, mesh, readable[variable], style.quantity_label(readable, variable), ax=figure.axes)
+    if words := _accuracy_in_words(dataset, variable):
+        figure.supxlabel(style.in_lines(words, figure.get_figwidth(), 20), fontsize="medium")
+    return figure
+
+
+def _two_axes(dataset: xr.Dataset, variable: str) -> list[str]:
+    """Return the two longest axes that do not share a dimension, in the order of the variable's dimensions: those of
+    the grid, then its own.
+    """
+    axes = quantity.numeric_axes(dataset, variable)
+    longest = {dataset[axis].dims[0]: axis for axis in reversed(axes)}
+    two = sorted(longest, key=lambda d: axes.index(longest[d]))[:2]
+    return [longest[d] for d in dataset[variable].dims if d in two]
+
+
+def colour_limits(array: xr.DataArray) -> colors.Normalize:
+    """Return the scale of colours for all values of a variable, logarithmic as an axis of it would be, and where they
+    span a large factor that no single gap makes up.
+    """
+    values = array.values.astype(float)
+    values = values[np.isfinite(values)]
+    low, high = float(values.min()), float(values.max())
+    is_wide = low > 0.0 and high > WIDE_COLOURS * low and style.unevenness(np.log(np.unique(values))) < 0.5
+    is_log = style.is_logarithmic(array) or (is_wide and style.SCALE not in array.attrs)
+    return (colors.LogNorm if is_log else colors.Normalize)(low, high)
+
+
+def draw_map(axes: Axes, dataset: xr.Dataset, variable: str, x: str, y: str, limits: colors.Normalize) -> None:
+    """Draw a variable over two axes: colours at the points of the grid, and contours, but none of truth values.
+
+    ``limits`` are those of the colours, which all panels of a figure share.  Points without a value are left white.
+    """
+    array = dataset.sortby([x, y])[variable].astype(float)
+    places: dict[str, Any] = {"x": x, "y": y, "ax": axes, "add_labels": False}
+    low, high = float(limits.vmin or 0.0), float(limits.vmax or 0.0)
+    scales: Any = {f"{w}scale": "log" for w, name in (("x", x), ("y", y)) if style.is_logarithmic(dataset[name])}
+    # with borders of cells halfway between the points, on the scale of the axis
+    array.plot.pcolormesh(**places, **scales, cmap="cividis", norm=limits, add_colorbar=False, rasterized=True)
+    is_log = isinstance(limits, colors.LogNorm)
+    levels = ticker.LogLocator(subs=(1.0, 2.0, 5.0)) if is_log else ticker.MaxNLocator(8, steps=[1, 2, 2.5, 5, 10])
+    inside = [level for level in levels.tick_values(low, high) if low < level < high]
+    is_smooth = inside and _is_smooth(np.log(array.values) if is_log else array.values, len(inside))
+    if is_smooth and not formatting.is_truth(dataset[variable]):
+        # solid, also those of negative numbers
+        look: Any = {"colors": "white", "levels": inside, "linewidths": 0.8, "linestyles": "solid"}
+        contours = array.plot.contour(**places, **look)
+        for artist in (contours, *axes.clabel(contours, fmt=style.number_text, fontsize="small")):
+            artist.set_path_effects([patheffects.withStroke(linewidth=2.2, foreground="0.15")])
+    for axis, which, name in ((axes.xaxis, "x", x), (axes.yaxis, "y", y)):
+        style.fit_scale(axes, which, dataset[name])
+        if dataset[name].size <= 3:  # ticks at these alone
+            axis.set_ticks(dataset[name].values, formatting.plain(dataset[name].values.tolist()))
+            axis.set_minor_locator(ticker.NullLocator())
+        elif dataset[name].dtype.kind == "i" and not style.is_logarithmic(dataset[name]):
+            axis.set_major_locator(ticker.MaxNLocator(integer=True))
+    axes.set(xlabel=style.explained_label(dataset[x], x), ylabel=style.explained_label(dataset[y], y))
+
+
+def _is_smooth(values: Array, levels: int) -> bool:
+    """Return whether contours of a map would show its shape: not those of plateaus, steps and noise, which no two
+    neighbours of a point interpolate to half the distance of two levels.
+    """
+    middles = [(one[2:] + one[:-2]) / 2.0 - one[1:-1] for one in (values, values.T)]
+    largest = max(float(np.abs(one).max(initial=0.0)) for one in middles)  # NaN where a value is missing
+    return min(values.shape) > 2 and largest < 0.5 * float(np.ptp(values)) / (levels + 1)
+
+
+def _accuracy_in_words(dataset: xr.Dataset, variable: str) -> str:
+    """Return how well the values of a map are known and agree with their prediction; '' where they have no errors."""
+    if (error := quantity.standard_error(dataset, variable)) is None:
+        return ""
+    value, predicted = dataset[variable], dataset.get(quantity.prediction_name(dataset, variable))
+    relative = float(error.max()) / (float(abs(value).max()) or np.nan)
+    apart = np.nan if predicted is None else float((abs(value - predicted) / error.where(error > 0.0)).max())
+    words = f"; at most {apart:.1f}σ from the prediction" if np.isfinite(apart) else ""
+    return f"errors (1σ) at most {100.0 * relative:.2g} % of the largest{words}" if np.isfinite(relative) else ""
+
+
+LINES = GridFigure(lambda dataset, variable: dataset[variable].dims != (POINT,), _lines_figure)
+LAW = GridFigure(lambda dataset, variable: bool(quantity.numeric_axes(dataset, variable)), _law_figure)
+MAP = GridFigure(lambda d, variable: len({d[a].dims[0] for a in quantity.numeric_axes(d, variable)}) > 1, _map_figure)
+
+
+MOST_PARAMETERS, MOST_PAIRED = 12, 8
+FEW_CURVES = 12  # up to this many curves are drawn one by one
+
+# Two quantiles over the points, the opacity of the band between them, and its name.
+BANDS = ((0.05, 0.95, 0.15, "90 % of the points"), (0.25, 0.75, 0.3, "50 % of the points"))
+
+
+# A table or a design
+
+
+def _points_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
+    """Return a figure with a row for each variable and a column for each parameter: all, or those in ``over``.  With
+    one variable, many parameters take several rows.
+    """
+    parameters = _parameters(dataset, over, MOST_PARAMETERS)
+    several = len(variables) > 1
+    across = len(parameters) if several else min(len(parameters), MOST_ACROSS)
+    down = len(variables) if several else -(-len(parameters) // across)
+    size = (5.2, 4.2) if across * down == 1 else (1.0 + 2.6 * across, 0.8 + 2.4 * down)
+    least, share = (1.0, "row") if several else (style.PANEL_WIDTH, True)
+    pairs = list(product(variables, parameters))
+    figure, panels = style.new_figure(*size, down, across, least, len(pairs), sharey=share)
+    for axes, (variable, parameter) in zip(panels, pairs, strict=True):
+        draw_lines(axes, dataset, variable, parameter, {})
+        axes.set_label(variable)  # for the caption
+        axes.set_ylabel(style.quantity_label(dataset, variable) if axes.get_subplotspec().is_first_col() else "")
+    return figure
+
+
+def _pairs_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
+    """Return a figure of parameters in pairs, coloured by a variable."""
+    variable, parameters = variables[0], _parameters(dataset, over, MOST_PAIRED)
+    further = [str(d) for d in dataset[variable].dims if d != POINT and dataset.sizes[d] > 1]
+    if further or len(parameters) < 2:
+        raise SweepError(f"pairs need two parameters and one value a point; fix {', '.join(further)}: --at AXIS=VALUE")
+    across, up = parameters[:-1], parameters[1:]
+    size = 2.4 + 1.7 * len(across), 1.2 + 1.6 * len(up)
+    figure, panels = style.new_figure(*size, len(up), len(across), least=1.0, sharex="col", sharey="row")
+    values = dataset[variable].squeeze().values.astype(float)
+    known = np.flatnonzero(np.isfinite(values))
+    order = known[np.argsort(np.abs(values[known] - np.median(values[known])))]  # extremes on top
+    dots: dict[str, Any] = {"c": values[order], "cmap": "cividis", "norm": colour_limits(dataset[variable])}
+    dots |= {"s": 10.0 if len(values) <= FEW_POINTS else 4.0, "linewidths": 0.0}
+    for axes, (row, column) in zip(panels, np.ndindex(len(up), len(across)), strict=True):
+        if column > row:
+            axes.set_visible(False)
+            continue
+        x, y = (positions(axes, dataset, name, which) for name, which in ((across[column], "x"), (up[row], "y")))
+        drawn = axes.scatter(x[order], y[order], rasterized=len(values) > MOST_VECTORS, **dots)
+        axes.set_xlabel(style.label(dataset[across[column]], across[column]) if row == len(up) - 1 else "")
+        axes.set_ylabel(style.label(dataset[up[row]], up[row]) if column == 0 else "")
+        axes.set_label(variable)  # for the caption
+    text = style.quantity_label(dataset, variable)
+    style.add_bar(figure, drawn, dataset[variable], text, ax=panels[len(across) - 1 :: len(across)], shrink=0.7)
+    return figure
+
+
+def _curves_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
+    axis = one_axis(dataset, variables[0], over)
+    return draw_panels(dataset, variables, Layout(), partial(_draw_curves, over=axis))
+
+
+def _draw_curves(axes: Axes, dataset: xr.Dataset, variable: str, over: str) -> None:
+    """Draw a variable of points along a dimension of its own, one colour for every combination of the others: the
+    median and bands of many points, or the curve of each of a few.
+    """
+    along, array, x = str(dataset[over].dims[0]), dataset[variable], positions(axes, dataset, over, "x")
+    steps = len(_steps(dataset, variable, POINT, along))
+    for number, (words, one) in enumerate(series_of(dataset, variable, POINT, along)):
+        y = one[variable].transpose(POINT, along).values.astype(float)
+        y, colour = y[np.isfinite(y).any(axis=1)], style.series(number, steps)["color"]
+        if array.sizes[POINT] <= FEW_CURVES:
+            labels = [words, *[""] * (len(y) - 1)]  # alone, the curves are what the axis says
+            axes.plot(x, y.T, color=colour, linewidth=0.9, alpha=0.8, label=labels)
+            continue
+        for low, high, opacity, name in BANDS:
+            band: dict[str, Any] = {"color": colour, "alpha": opacity, "linewidth": 0.0, "label": "" if words else name}
+            axes.fill_between(x, *np.nanquantile(y, (low, high), axis=0), **band)
+        middle = words or f"median of {len(y):,} points"
+        axes.plot(x, np.nanmedian(y, axis=0), color=colour, linewidth=1.4, label=middle)
+    style.fit_scale(axes, "y", array)
+    axes.set(xlabel=style.label(dataset[over], over), ylabel=style.quantity_label(dataset, variable))
+
+
+def _parameters(dataset: xr.Dataset, over: Sequence[str], most: int) -> list[str]:
+    """Return the parameters asked for, or all in which the points differ; raises SweepError for more than ``most``."""
+    known = quantity.varied_parameters(dataset)
+    if unknown := [name for name in over if name not in known]:
+        raise SweepError(f"the points do not differ in {shown(unknown[0])}{suggest(unknown[0], known)}")
+    chosen = list(over) or known
+    if len(chosen) > most:
+        listed = ", ".join(chosen)
+        raise SweepError(f"{len(chosen)} parameters are too many for one picture of {most}: choose --over, {listed}")
+    return chosen
+
+
+# Kept samples
+
+
+def sampled(dataset: xr.Dataset) -> str | None:
+    """Return the variable with the kept samples of several components; None if there is none."""
+    known = {"sample", *dataset["status"].dims}
+    names = [str(n) for n, v in dataset.data_vars.items() if "sample" in v.dims and set(v.dims) - known]
+    return names[0] if names else None
+
+
+def _scatter_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
+    """Return a figure of the samples of two components at one point: those in ``over``, or the first two in the unit of
+    the main quantity, or the first two; with ellipses of 68 and 95 % of a normal distribution.
+
+    Where the dataset has a ``bias``, the truth (mean estimate - bias) is a cross.  The standard deviations stand above
+    the legend with their errors, sigma/sqrt(2 n).
+    """
+    variable = sampled(dataset)
+    if variables or variable is None:
+        raise SweepError("a scatter is of kept samples, not of a variable; choose its two components with --over")
+    if dataset["status"].ndim:
+        left = ", ".join(f"{d} ({dataset.sizes[d]})" for d in dataset["status"].dims)
+        raise SweepError(f"a scatter is of one point; choose it with --at AXIS=VALUE: {left}")
+    dimension = next(str(d) for d in dataset[variable].dims if d != "sample")
+    known = dataset[dimension].values.tolist()
+    if unknown := [name for name in over if name not in known]:
+        raise SweepError(f"{shown(unknown[0])} is no component of {variable}{suggest(unknown[0], known)}")
+    if over and len(set(over)) != 2:
+        raise SweepError(f"a scatter needs two components, of {', '.join(known)}; not {', '.join(over)}")
+    units = dict(zip(known, quantity.units_along(dataset, variable, [dimension]), strict=True))
+    main = dataset[quantity.main_quantity(dataset)].attrs if quantity.quantities(dataset) else {}
+    alike = [name for name in known if units[name] == main.get("units")]
+    names = list(over or (alike if len(alike) > 1 else known)[:2])
+    figure, (axes,) = style.new_figure(5.2, 4.8)
+    both = dataset[variable].sel({dimension: names}).transpose(dimension, "sample").values.astype(float)
+    both = both[:, np.isfinite(both).all(axis=0)]
+    if (n := both.shape[1]) < 3:
+        raise SweepError(f"{variable} has {n} samples here; at least 3 are needed")
+    factor, (one, other) = 1.0, (units[name] for name in names)
+    if one == other:
+        one, factor = formatting.prefixed(both.std(axis=1), one)
+        other = one
+        axes.set_aspect("equal")
+    both *= factor
+    mean, covariance = both.mean(axis=1), np.cov(both)
+    sigma = np.sqrt(np.diag(covariance))
+    dots: dict[str, Any] = {"color": style.COLOURS[0], "markeredgewidth": 0.0, "alpha": 0.35, "rasterized": True}
+    dots["markersize"] = float(np.clip(100.0 / np.sqrt(n), 2.0, 5.0))
+    axes.plot(*both, ".", label=f"{n} estimates", **dots)
+    for confidence, line in ((0.683, "solid"), (0.954, "dashed")):
+        share = f"{100 * confidence:.0f} % of their normal law"
+        ellipse = style.confidence_ellipse(mean, covariance, confidence, linestyle=line, label=share)
+        axes.add_patch(ellipse).set_edgecolor(style.COLOURS[1])
+    axes.errorbar(*mean, *(sigma / np.sqrt(n))[::-1], label="mean", **style.marks(1, 3.0))
+    if "bias" in dataset and dimension in dataset["bias"].dims:
+        truth = mean - factor * dataset["bias"].sel({dimension: names}).values
+        axes.plot(*truth, "x", color="black", label="truth", markersize=9.0, markeredgewidth=1.4)
+    words = []
+    for which, name, spread, unit in zip("xy", names, sigma, (one, other), strict=True):
+        axes.set(**{f"{which}label": style.label(dataset[variable], name, unit)})
+        text = formatting.with_error(spread, spread / np.sqrt(2 * n))
+        words.append(rf"$\sigma$({style.symbol(name)}) = {text} {formatting.written(unit)}")
+    words.append(rf"correlation ${covariance[0, 1] / np.prod(sigma):+.2f}$")
+    style.legend(figure, title="\n".join(words))
+    return figure
+
+
+def _has_points(dataset: xr.Dataset, variable: str) -> bool:
+    return POINT in dataset[variable].dims and bool(quantity.varied_parameters(dataset))
+
+
+POINTS = GridFigure(_has_points, _points_figure)
+PAIRS = GridFigure(lambda d, name: _has_points(d, name) and len(quantity.varied_parameters(d)) > 1, _pairs_figure)
+CURVES = GridFigure(lambda d, n: _has_points(d, n) and bool(quantity.numeric_axes(d, n, "ifM")), _curves_figure)
+SCATTER = GridFigure(lambda dataset, variable: sampled(dataset) is not None, _scatter_figure)
+
+
+# Analyses: sensitivity indices of parameters, and how a run scales with workers
+
+WORDS = {"first": "first order", "total": "total", "mu_star": r"mean absolute effect $\mu^*$", "sigma": r"$\sigma$"}
+
+
+def sensitivity_figure(dataset: xr.Dataset) -> Figure:
+    """Return a figure of indices, lines along a further dimension; raises SweepError where there are more of them."""
+    kinds = [name for name in WORDS if name in dataset]
+    further = [str(d) for d in dataset[kinds[0]].dims if d != "parameter" and dataset.sizes[d] > 1]
+    dataset = dataset.squeeze([d for d in dataset.dims if d not in ("parameter", *further)])
+    if len(further) > 1 or (further and dataset[further[0]].dtype.kind not in "iuf"):
+        raise SweepError(f"indices of {' and '.join(further)} do not fit one picture; fix some with --at AXIS=VALUE")
+    unit = formatting.written(formatting.units_of(dataset[kinds[0]].attrs))
+    effect = "share of the variance" if "first" in kinds else "effect over the range" + (f" [{unit}]" if unit else "")
+    symbols = {n: "+".join(map(style.symbol, n.split("+"))) for n in dataset["parameter"].values.tolist()}
+    if further:
+        words = {n: dataset[n].assign_attrs(symbol=f"{effect}, {WORDS[n]}", units="") for n in kinds}
+        return _lines_of(dataset.assign(words), kinds, further[0], "parameter", symbols)
+    figure, (axes,) = style.new_figure(6.4, 1.4 + 0.45 * dataset.sizes["parameter"])
+    one = dataset.sortby(dataset[kinds[-1] if "total" in kinds else kinds[0]].fillna(0.0))
+    for number, kind in enumerate(kinds):
+        error = one[f"{kind}_error"].values if f"{kind}_error" in one else None
+        places = np.arange(one.sizes["parameter"]) + 0.14 * (0.5 * (len(kinds) - 1) - number)
+        look = style.marks(number, 4.5, elinewidth=1.0, label=WORDS[kind])
+        axes.errorbar(one[kind].values, places, xerr=error, **look)
+    style.name_ticks(axes, "y", [symbols[name] for name in one["parameter"].values.tolist()])
+    if "first" in kinds:
+        low, high = axes.get_xlim()  # which include the errors of all marks
+        axes.set_xlim(min(-0.02, low), max(1.02, high))
+    axes.axvline(0.0, color="0.6", linewidth=0.6)
+    axes.set_xlabel(effect)
+    return figure
+
+
+def scaling_figure(dataset: xr.Dataset) -> Figure:
+    """Return speed-up over one worker beside efficiency (1 is ideal) against the number of workers, by kind ("strong":
+    the same work, "weak": the same work per worker), with the ideal line.
+    """
+    words = {"speedup": "speed-up over one worker", "efficiency": "efficiency"}
+    dataset = dataset.assign({name: dataset[name].assign_attrs(symbol=text) for name, text in words.items()})
+    kinds = {kind: f"{kind} scaling" for kind in dataset["kind"].values.tolist()}
+    figure, workers = _lines_of(dataset, list(words), "workers", "kind", kinds), dataset["workers"].values.astype(float)
+    for axes, ideal in zip(figure.axes, (workers, np.ones(len(workers))), strict=True):
+        axes.plot(workers, ideal, label="ideal", **style.GUIDE)
+        style.logarithmic(axes, "x", workers)
+        axes.set_xticks(workers, [f"{w:g}" for w in workers])
+        axes.set_xticks([], minor=True)
+    style.logarithmic(figure.axes[0], "y", workers)
+    axes.set_ylim(0.0, max(1.1, 1.05 * float(np.nanmax(dataset["efficiency"].values))))
+    return figure
+
+
+def _lines_of(dataset: xr.Dataset, names: list[str], over: str, by: str, words: Mapping[str, str]) -> Figure:
+    """Return lines of what is derived from results along an axis, with its errors NAME_error; ``words`` has what the
+    values of the other dimension are called.
+    """
+    errors = {f"{n}_error": f"{n}_mc_error" for n in names if f"{n}_error" in dataset}
+    status = dataset[names[0]].dims, np.full(dataset[names[0]].shape, Status.DONE, dtype=np.int8)
+    named = dataset[by].assign_attrs(symbols=json.dumps(words))
+    dataset = dataset.rename(errors).assign_coords({by: named}).assign(status=status)
+    return draw_panels(dataset, names, Layout(), partial(draw_lines, over=over, numbers={}))

@@ -1,4 +1,6 @@
-"""How figures look: colours, sizes, labels, scales with their ticks, legends, and files that are reproducible."""
+"""How figures look: colours, sizes, labels, scales with their ticks, legends, and files that are reproducible; and
+their captions, and descriptions for those who cannot see them.
+"""
 
 import io
 import json
@@ -13,13 +15,13 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 import xarray as xr
-from matplotlib import collections, colors, container, patches, patheffects, ticker
+from matplotlib import collections, colors, container, lines, patches, patheffects, ticker
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.special import chdtri
 
 from linksweep.sweep import formatting
-from linksweep.sweep.analysis import quantity
+from linksweep.sweep.analysis import answer, quantity
 from linksweep.sweep.contract import Array, SweepError, shown, suggest
 from linksweep.sweep.studies.study import FigureForm
 
@@ -494,3 +496,105 @@ def legend(figure: Figure, least: int = 2, **options: Any) -> None:
     figure.legend(entries.values(), lines, loc="outside lower center", ncols=columns, frameon=False, **options)
     rows = 1 - (-"\n".join(lines).count("\n") // columns)
     figure.set_figheight(figure.get_figheight() + rows * in_letters(1.5))  # panels keep their height
+
+
+# Captions
+
+# Labels of what a caption explains; matplotlib leaves labels that begin with _ out of legends.
+ERROR_BAND, PREDICTION_BAND, LAW_BAND, JOINED = "_error band", "_prediction band", "_law band", "_joined"
+WITHOUT, RUNNING, ALONE = "_without", "_running", "_alone"
+
+# What no label of a figure explains.
+UNLABELLED = {
+    ERROR_BAND: "Bands join the errors of the points.",
+    PREDICTION_BAND: "Vertical bars behind dashes are the one-sigma errors of the predictions.",
+    LAW_BAND: "Bands are the one-sigma errors of the fitted laws.",
+    JOINED: "Thin lines join the points.",
+    ALONE: "Markers are points without a neighbour on their line.",
+    RUNNING: "Markers with a white centre are values so far, of points that are not done.",
+    WITHOUT: "Dotted lines are points on which the parameter along the axis has no effect.",
+    MOVED: "Markers that cover each other are drawn a little to the left or right of them; lines are not.",
+}
+MOST_DESCRIBED = 6  # that a description names
+MOST_RANGES = 3  # quantities or components whose ranges a caption gives
+
+
+def caption_and_description(figure: Figure, dataset: xr.Dataset) -> str:
+    """Return the text of a file beside a picture: its caption, and a description under a heading of its own."""
+    return f"{caption(figure, dataset, with_answer=True)}\n\nAlternative text: {description(figure, dataset)}\n"
+
+
+def caption(figure: Figure, dataset: xr.Dataset, with_answer: bool = False) -> str:
+    """Return the caption: the title, what the signs mean, and on request the answer of the study, or else the ranges
+    of what is drawn.
+    """
+    title = str(figure.get_label())
+    parts = [f"{title}." if title and not title.endswith((".", "?", "!")) else title, *_signs(figure, dataset)]
+    if with_answer and "status" in dataset:
+        sentences = answer.conclusion_in_words(dataset) or _ranges(figure, dataset)
+        parts += map(formatting.with_micro_signs, [*answer.completeness(dataset), *sentences])
+    return " ".join(filter(None, parts))
+
+
+def description(figure: Figure, dataset: xr.Dataset) -> str:
+    """Return what is seen: the panels, what each draws against what, and the range of values."""
+    panels, signs = panels_of(figure), list(legend_entries(figure))
+    labels = (str(artist.get_label()) for axes in panels for artist in labelled(axes))
+    signs += [label.removeprefix(AT_END) for label in labels if label.startswith(AT_END)]
+    bars = [axes.get_ylabel() for axes in figure.axes if axes not in panels and axes.get_ylabel()]
+    drawn = (" against ".join(filter(None, [_label(axes, "y"), _label(axes, "x")])) or "a picture" for axes in panels)
+    titles = formatting.first_of([title for axes in panels if (title := axes.get_title())], MOST_DESCRIBED, "; ")
+    parts = [
+        f"Drawn: {formatting.first_of(list(dict.fromkeys(drawn)), MOST_DESCRIBED, '; ')}",
+        ": ".join(filter(None, [f"{len(panels)} panels", titles])) if len(panels) > 1 else "",
+        f"Colours: {' and '.join(bars)}" if bars else "",
+        f"Legend: {', '.join(signs)}" if len(signs) > 1 else "",
+    ]
+    sentences = [f"{text}." for text in map(plain, filter(None, parts))]
+    return " ".join([*sentences, *map(formatting.with_micro_signs, _ranges(figure, dataset))])
+
+
+def _signs(figure: Figure, dataset: xr.Dataset) -> list[str]:
+    """Return a sentence for each kind of sign in a figure that its labels do not explain."""
+    entries = legend_entries(figure)
+    labels = {artist.get_label() for axes in figure.axes for artist in axes.get_children()}
+    drawn = dict.fromkeys(str(axes.get_label()) for axes in figure.axes if _has_error_bars(axes))
+    names = [name for name in drawn if name in dataset]
+    sentences = []
+    if any(quantity.standard_error(dataset, name) is not None for name in names):
+        sentences.append("Points are simulated, with one-sigma errors.")
+    declared = dict.fromkeys(bars[0] for name in names if (bars := quantity.errors_beside(dataset, name)))
+    sentences += [f"Error bars are {name}." for name in declared]
+    if PREDICTED in entries:
+        dashes = isinstance(entries[PREDICTED], lines.Line2D)
+        sentences.append(f"{'Dashes are predicted' if dashes else 'The prediction is'} in closed form.")
+    if PUBLISHED in entries:
+        sources = sorted({str(v.attrs["source"]) for v in dataset.data_vars.values() if "source" in v.attrs})
+        sentences.append(": ".join(filter(None, ["Open symbols are published", "; ".join(sources)])) + ".")
+    return sentences + [words for label, words in UNLABELLED.items() if label in labels]
+
+
+def _has_error_bars(axes: Axes) -> bool:
+    known = [one for one in axes.containers if isinstance(one, container.ErrorbarContainer)]
+    bars = [one for one in known if one.has_xerr or one.has_yerr]
+    return any(str(one.get_label()).lstrip("_") != PUBLISHED for one in bars)
+
+
+def _ranges(figure: Figure, dataset: xr.Dataset) -> list[str]:
+    """Return a sentence about the values of each quantity that a figure draws: the labels of its axes."""
+    if "status" not in dataset:
+        return []
+    sentences, variables = [], with_chosen_component(dataset).data_vars.items()
+    for drawn in dict.fromkeys(str(axes.get_label()) for axes in figure.axes if axes.get_label() in dataset):
+        alone = dataset.assign({name: array.assign_attrs(headline=name == drawn) for name, array in variables})
+        for one in answer.answers(alone):
+            meaning = f" ({one.meaning})" if one.meaning else ""
+            sentences += [f"{one.name}{meaning}: {sentence}" for sentence in one.sentences[:1]]
+    return sentences[:MOST_RANGES]
+
+
+def _label(axes: Axes, which: str) -> str:
+    """Return the label of an axis, or that of the axes that share it and have one."""
+    siblings = getattr(axes, f"get_shared_{which}_axes")().get_siblings(axes)
+    labels = (getattr(one, f"get_{which}label")() for one in (axes, *siblings))
+    return next(filter(None, labels), "")

@@ -35,7 +35,7 @@ from linksweep.sweep import formatting
 from linksweep.sweep.analysis import answer, compare, quantity, sensitivity, tables
 from linksweep.sweep.contract import Status, SweepError
 from linksweep.sweep.planning.union import REFINED
-from linksweep.sweep.plots import KINDS, figure as drawing, grid, style
+from linksweep.sweep.plots import KINDS, figure as drawing, style
 from linksweep.sweep.result import Result, open_result, write_at_once
 from linksweep.sweep.running.progress import reasons_of
 from linksweep.sweep.running.status import SHARE, Tile, Watched, pause
@@ -81,7 +81,7 @@ def pictures(dataset: xr.Dataset, variables: Sequence[str], number: int) -> list
     """
     dataset, status = dataset.assign_attrs(title=""), dataset["status"]
     alone, ordered = status.size == 1, POINT not in status.dims
-    made = [drawn(dataset, SAMPLES, f"{number}-samples")] if alone and grid.sampled(dataset) is not None else []
+    made = [drawn(dataset, SAMPLES, f"{number}-samples")] if alone and drawing.sampled(dataset) is not None else []
     if chosen := style.form_of(dataset).variable:
         made.append(drawn(dataset, chosen, f"{number}-chosen"))
     varying = [name for name in variables if _varies(dataset[name]) and name != chosen]
@@ -127,8 +127,8 @@ def drawn(dataset: xr.Dataset, name: str, salt: str, variables: Sequence[str] = 
     try:
         figure, svg = draw()
         narrow = draw(NARROW)[1] if figure.get_figwidth() > ONE_PANEL else ""
-        words = f"{name}. {drawing.caption(figure, dataset) if 'status' in dataset else ''}".strip()
-        about = drawing.description(figure, dataset)
+        words = f"{name}. {style.caption(figure, dataset) if 'status' in dataset else ''}".strip()
+        about = style.description(figure, dataset)
         return Picture(name, svg, 72.0 * figure.get_figwidth(), "", words, about, narrow)
     except (SweepError, ValueError) as error:  # a ValueError: a name that matplotlib takes for a formula
         is_curve = "status" in dataset and variables and quantity.own_dimensions(dataset, variables[0])
@@ -152,7 +152,7 @@ def residuals(dataset: xr.Dataset, variable: str) -> xr.Dataset | None:
         return None
     apart = ((dataset[variable] - parts["predicted"]) / error.where(error > 0.0)).transpose(*dataset[variable].dims)
     words = {"symbol": "(simulated − predicted)/error", "long_name": f"{variable}, minus predicted"}
-    apart = apart.drop_attrs(deep=False).assign_attrs(words).assign_attrs({grid.BAND: answer.ERRORS_ALLOWED})
+    apart = apart.drop_attrs(deep=False).assign_attrs(words).assign_attrs({drawing.BAND: answer.ERRORS_ALLOWED})
     kept = dataset[["status"]].assign_attrs(title=dataset.attrs.get("title", ""))
     return kept.assign({f"{variable}_{SUFFIX}": apart})
 

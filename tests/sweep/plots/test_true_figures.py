@@ -14,7 +14,7 @@ from matplotlib.text import Text
 import linksweep
 from linksweep import Output, SweepError, experiment
 from linksweep.sweep.analysis import quantity
-from linksweep.sweep.plots import figure as drawing, style
+from linksweep.sweep.plots import style
 from tests.tiers import examples, slow
 
 LARGE = [50.0, 7.0, 90.0, 41.0, 23.0, 77.0, 64.0, 12.0, 34.0, 58.0]
@@ -234,7 +234,7 @@ def test_a_study_without_axes_has_a_figure(tmp_path, value):
 def test_a_caption_has_the_signs_that_are_drawn_and_symbols_as_they_are(known):
     ds = results([1.0, 2.0, 3.0]).assign(y_predicted=("x", [1.0, 2.0, 3.0]))
     ds = ds.assign(y_catalogue_error=("x", np.full(3, 0.1 if known else np.nan)))
-    text = drawing.caption_and_description(linksweep.plot(ds), ds)
+    text = style.caption_and_description(linksweep.plot(ds), ds)
     assert ("errors of the predictions" in text) == known
     assert "y against x." in text
 
