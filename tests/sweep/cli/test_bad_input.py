@@ -226,6 +226,7 @@ COMMANDS = [
     # no option is dropped for another
     ("plan quasars --axis v_max=14,15 --set v_max=16", "--set v_max=16 and --axis v_max=14,15: v_max is"),
     ("plan quasars --axis v_max=14,15 --axis v_max=16", "--axis v_max=14,15 and --axis v_max=16: v_max is given twice"),
+    ("plan quasars --set title=a --set title=b", "--set title=a and --set title=b: title is given twice"),
     ("plan quasars --set n_sim=1 --set sampling.n_sim=2", "--set n_sim=1 and --set sampling.n_sim=2: n_sim is given"),
     ("plan quasars --design random:8 --range v_max=1:5 --range v_max=1:6", "--range v_max=1:5 and --range v_max=1:6"),
     (f"{SOBOL}:3 --range v_max=14:15 --set points.seed=4", "--set points.seed=4 and --design sobol:8:3:"),
