@@ -791,7 +791,7 @@ def levelling(x: Array, y: Array, errors: Array, fall: float, samples: float = n
 
     def derived(parameters: Array) -> Array:
         start, end, rate = np.exp(parameters[0]), np.exp(parameters[1]), parameters[2]
-        floor = max(start + (end - start) / -np.expm1(-rate), 0.0) if rate > 0.0 else 0.0  # what y^2 tends to
+        floor = 0.0 if rate <= 0.0 else max(start + (end - start) / -np.expm1(-rate), 0.0)  # what y^2 tends to
         end_fall = 0.5 * (start - end) / end / exprel(rate) / length
         limit = np.inf if end_fall > fall else -np.inf
         if floor > 0.0 and end < start and rate / length > 2.0 * fall:  # its fall is rate/2 before the plateau counts
@@ -878,8 +878,10 @@ def _levelling_in_words(row: Mapping[str, float], x: Array, unit: str) -> str:
         return f"no plateau; {end}"
     place = f"{_place_on(x, limit, row['limit_error'])} {unit}".rstrip()
     words = f"falls by less from {place}" if limit <= x[-1] else f"no plateau yet: not before {place}, by the law"
-    doubt = [] if row["plateau"] > SIGMAS * row["plateau_error"] else ["the levelling off is not significant"]
-    return "; ".join([words, end, *doubt])
+    doubt = "" if row["plateau"] > SIGMAS * row["plateau_error"] else "; the levelling off is not significant"
+    if math.isnan(row["plateau_error"]):
+        doubt = "; whether the levelling off is significant is not known"
+    return f"{words}; {end}{doubt}"
 
 
 def _crossing_in_words(row: Mapping[str, Any], unit: str, line: Line) -> str:

@@ -87,11 +87,13 @@ class Refinement:
         wanted = laws.parse_limit(self.goal["until"]).number if self.goal["until"] else self.goal["within"]
         what = "realisation" if "n_sim_done" in self.dataset else "point"
         took = f"{counted(len(self.rounds), 'round')}, {counted(self.spent, what)}"
-        said = [f"{took}: {100.0 * self.spent / self.full:.2g} % of the {self.full:,} of a full grid that is as fine."]
+        said = [f"{took}: {100.0 * self.spent / self.full:.3g} % of the {self.full:,} of a full grid that is as fine."]
         why = " (the axis has whole numbers)" if self.dataset[self.along].dtype.kind == "i" else ""
         why = why or (" (--max-realisations allows more)" if what == "realisation" else "")
-        yet = {True: "", False: f", not yet to {wanted:g}{why}"}
-        said += [f"Known{at} to {known:.2g}{yet[known <= wanted * ROUNDING]}." for at, known in self.known.items()]
+        for at, known in self.known.items():
+            yet = "" if known <= wanted * ROUNDING else f", not yet to {wanted:g}{why}"
+            few = f"Not known{at}: there are too few points, or errors are not known{why}."
+            said.append(f"Known{at} to {known:.2g}{yet}." if known < math.inf else few)
         if quantity.shares_random_numbers(self.dataset, [self.along]):
             said.append("Besides there is the Monte-Carlo error, which points with common random numbers share.")
         return said

@@ -49,6 +49,8 @@ MISSING = (
 )
 # The most lines that comments, names, units and rules take.
 PREFACE_LINES = 100_000
+# The lines below a line of units by which it is told from a row of names.
+LINES_BELOW = 1_000
 
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eEdD][+-]?\d+)?")
 # Of dashes, but a row may be a sign.
@@ -331,7 +333,7 @@ def _layout(content: bytes) -> tuple[list[str], list[str], str, int]:
     names, units, first = _fields(header, delimiter), None, at
     if any(map(_NUMBER.fullmatch, names)):  # this line is a row already
         comments = [line.lstrip("#") for line in reversed(lines[:at]) if line[:1] == "#"]
-        above = [_fields(line, d) for line in comments for d in (delimiter, " ")]
+        above = [_fields(line, d) for line in comments for d in dict.fromkeys((delimiter, " "))]
         fitting = [fields for fields in above if len(fields) == len(names)] or [names]
         units = fitting.pop(0) if len(fitting) > 1 and _are_units(fitting[0], lines[at:], delimiter) else None
         names = fitting[0]
@@ -370,7 +372,8 @@ def _are_units(fields: Sequence[str], lines: Sequence[str], delimiter: str) -> b
     stated = [k for k, field in enumerate(fields) if field.strip("-")]
     if not all(_unit(fields[k], "raise") is not None for k in stated):
         return False
-    rows = [row for line in lines if line[0] != "#" and len(row := _fields(line, delimiter)) == len(fields)]
+    below = (_fields(line, delimiter) for line in lines[:LINES_BELOW] if line[0] != "#")
+    rows = [row for row in below if len(row) == len(fields)]
     cells = {row[k] for row in rows for k in stated}.difference(MISSING)
     return any(re.search(r"\d", cell) for cell in cells) and all(map(_VALUE.fullmatch, cells))
 

@@ -251,3 +251,6 @@ def test_what_does_not_level_off_says_so():
     for y, fall, expected in (bent, *straight):
         found = level_off(y, 1e-6 * y, fall).isel(model=0)
         assert (found["conclusion"].item()[: len(expected[0])], found["limit"].item()) == expected
+    found = level_off(law(V), np.where(V < 15.0, 0.004, np.nan)).isel(model=0)  # too few errors
+    assert np.isnan(found[["plateau_error", "limit_error", "rate_error"]].to_array()).all()
+    assert found["conclusion"].item().endswith("whether the levelling off is significant is not known")

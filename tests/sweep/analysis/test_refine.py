@@ -238,3 +238,7 @@ def test_the_command_says_what_is_known_and_what_it_took(sweep, tmp_path):
     assert report["known"] == {"": pytest.approx(0.0625, rel=0.3)}
     shown = sweep("status", "s.zarr", cwd=tmp_path)[1]
     assert shown.count("of sweep refine") == len(report["rounds"]) == 2
+    (tmp_path / "g.py").write_text("def inverse(x: int):\n    return 1.0 / x\n")
+    two = ["refine", "g.py:inverse", "--axis", "x=1,2", "--until", "error < 0.1", "-o", "w.zarr"]
+    out = sweep(*two, cwd=tmp_path, code=0)[1]
+    assert ("100 % of" in out, "Not known" in out, "inf" in out) == (True, True, False)

@@ -111,6 +111,7 @@ DELIMITED = [
     ("ra,dec,id\ndegrees,deg,\n10.5,20,1\n200,-3,2\n", ["ra", "dec", "id"]),
     ("ra [deg],dec (deg),id\n10.5,20,1\n200,-3,2\n", ["ra [deg]", "dec (deg)", "id"]),
     ("#ra;dec;id\n#(deg);(deg);\n10.5;20;1\n200;-3;2\n", ["ra", "dec", "id"]),  # as psrcat writes it
+    ("# ra dec id\n# deg deg -\n10.5 20 1\n200 -3 2\n", ["ra", "dec", "id"]),
 ]
 NO_TABLES = [
     (b"", "has no rows"),
