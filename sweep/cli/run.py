@@ -9,7 +9,7 @@ import shlex
 import subprocess
 import sys
 import traceback
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stdout
 from dataclasses import dataclass, replace
 from functools import partial
@@ -424,24 +424,18 @@ def status(store: "Location" = cli.STORE, as_json: bool = cli.JSON) -> None:
     \b
     sweep status results/quasars.zarr
     """
-    from linksweep.sweep.running.status import status_report
+    from linksweep.sweep.contract import progress_in_words
+    from linksweep.sweep.running import progress, status as states
 
-    report = status_report(store)
+    report, name = states.status_report(store), typed(store)
     if as_json:
         cli.put(to_json(report))
-    elif "parts" in report:
+        return
+    if "parts" in report:
         cli.put(report["title"])
-        for total, states in report["parts"].items():
-            cli.print_wrapped(f"of {total} parts: {'; '.join(f'{state}: {some}' for state, some in states.items())}")
-    else:
-        _print_status(report, typed(store))
-
-
-def _print_status(report: Mapping[str, Any], store: str) -> None:
-    """Print for people how far the run in a store is, which is named as it is typed."""
-    from linksweep.sweep.contract import progress_in_words
-    from linksweep.sweep.running.progress import reasons_of
-
+        for total, some in report["parts"].items():
+            cli.print_wrapped(f"of {total} parts: {'; '.join(f'{state}: {ones}' for state, ones in some.items())}")
+        return
     points, made, part = report["points"], report["provenance"], f" of part {report['part']}" if report["part"] else ""
     unfinished = points["missing"]
     total = points["done"] + points["failed"] + unfinished
@@ -458,7 +452,7 @@ def _print_status(report: Mapping[str, Any], store: str) -> None:
         cli.print_wrapped(f"round {number} of sweep refine: {one}", later="   ")
     if failures := report["failures"]:
         cli.put(f"\n{counted(len(failures), 'point')} failed:")
-        for reason in reasons_of(failures).in_words():
+        for reason in progress.reasons_of(failures).in_words():
             cli.print_wrapped(reason, "  ", "    ")
         if len(failures) > 1:
             cli.put("sweep status --json has all of them")
@@ -470,10 +464,10 @@ def _print_status(report: Mapping[str, Any], store: str) -> None:
     if report["command"]:
         cli.print_wrapped(f"by {report['command']}", later="   ")
     nexts = {
-        f"sweep watch {store}": report["running"],
+        f"sweep watch {name}": report["running"],
         "the same command goes on": state == "stopped",
-        f"sweep run --retry {store}": points["failed"] and not report["running"],
-        f"sweep show {store}": report["complete"],
+        f"sweep run --retry {name}": points["failed"] and not report["running"],
+        f"sweep show {name}": report["complete"],
     }
     cli.put(f"next: {', '.join(words for words, fits in nexts.items() if fits)}")
 

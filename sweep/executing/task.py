@@ -277,11 +277,8 @@ class Batch:
             points = (self.study.arguments(point.parameters).items() for point in work.points)
             changed = tuple({k: v for k, v in point if is_other(v, defaults[k])} for point in points)
             units.append(PointBlock(changed, work.points[0].stream, work.block))
-        digest = source_digest(reference)
-        samples, again = sampling.keep_samples, experiment.repeatable
-        return Task(
-            reference, sampling.seed, tuple(units), samples, limits.time_s, digest, enough_s, again, keep=self.keep
-        )
+        kept, code, again = sampling.keep_samples, source_digest(reference), experiment.repeatable
+        return Task(reference, sampling.seed, tuple(units), kept, limits.time_s, code, enough_s, again, keep=self.keep)
 
     def alone(self) -> "list[Batch]":
         """Return each block by itself."""

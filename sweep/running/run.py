@@ -65,15 +65,12 @@ def differences_of_code(records: Sequence[Mapping[str, Any]], study: Study) -> l
     return code_differences(old, now, "in the store", "now")
 
 
-def rows_of_other_code(store: Store, study: Study) -> list[range]:
+def rows_of_other_code(store: Store, study: Study) -> set[int]:
     """Return the rows of a ledger that were made by other code than a study's."""
     records = records_of(store.attributes)
-    starts = [*(record["first_row"] for record in records), store.next_row]
-    return [
-        range(first, end)
-        for record, (first, end) in zip(records, pairwise(starts), strict=True)
-        if differences_of_code([record], study)
-    ]
+    spans = pairwise([*(record["first_row"] for record in records), store.next_row])
+    others = [span for record, span in zip(records, spans, strict=True) if differences_of_code([record], study)]
+    return {row for span in others for row in range(*span)}
 
 
 def defaults_alone(code: Mapping[str, str], other: Mapping[str, str]) -> dict[str, str]:
@@ -194,9 +191,7 @@ def again_where(store: Store, study: Study, condition: str) -> dict[bytes, Recor
     other = rows_of_other_code(store, study)
     failed = store.failures.keys() if differences_of_code(records_of(store.attributes), study) else set[bytes]()
     points = [point for point in Grid(study).points() if point.digest in rows or point.digest in store.failures]
-    made_by_other = [
-        point.digest in failed or any(row in some for row in rows[point.digest] for some in other) for point in points
-    ]
+    made_by_other = [p.digest in failed or not other.isdisjoint(rows[p.digest]) for p in points]
     texts = {name for p in points for name, value in p.parameters.items() if isinstance(value, str | Named)}
     labelled = [texts.difference(study.missing(p.parameters)) for p in points]
     table = [
@@ -207,9 +202,7 @@ def again_where(store: Store, study: Study, condition: str) -> dict[bytes, Recor
     met = rows_where(from_frame(columns), condition, "--redo", may_be_none=True) if points else ()
     record = {"kind": "again", "message": message, "traceback": "", "host": host(), "when": now()}
     known = {point.digest for point in points}
-    again: dict[bytes, Record | None] = {
-        digest: None for digest in rows.keys() - known if any(row in some for row in rows[digest] for some in other)
-    }
+    again = dict[bytes, Record | None].fromkeys(d for d in rows.keys() - known if not other.isdisjoint(rows[d]))
     for point, is_met, is_old in zip(points, met, made_by_other, strict=True):
         if point.digest in left or (is_met and (is_old or not left)):
             again[point.digest] = {"place": describe(study, point.parameters), **record}
