@@ -329,7 +329,7 @@ def answer(dataset: xr.Dataset) -> Card:
         'What do fainter quasars bring?'
     """
     result = Result(dataset)
-    if result.is_stored_table:
+    if result.kind != "grid":
         return Card(result.title, "", result.headline(), dataset, result.written("text"))
     question, sentences = str(dataset.attrs.get("question", "")), [*completeness(dataset), *answer_in_short(dataset)]
     return Card(result.title, question, sentences, dataset)

@@ -53,11 +53,6 @@ class Result:
         return kind
 
     @property
-    def is_stored_table(self) -> bool:
-        """Whether it is one dataset that shows itself, and not the grid of a study."""
-        return self.kind in STORED_TABLES
-
-    @property
     def title(self) -> str:
         """Its title: that of the study, or of a link or a forecast the names of its tables."""
         about = self.dataset.attrs

@@ -55,7 +55,7 @@ def dots(dataset, variables, over):
     return figure
 DOTS = GridFigure(lambda dataset, variable: True, dots)
 """
-A_KIND = ('"scatter": Kind("grid:SCATTER"),', '"dots": Kind("dots:DOTS"),')
+A_KIND = ('"scatter": Kind("figure:SCATTER"),', '"dots": Kind("dots:DOTS"),')
 BACKWARDS = """
 from contextlib import contextmanager
 from linksweep.sweep.executing.pools import Place

@@ -15,20 +15,19 @@ import threading
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from importlib import metadata, resources
 from pathlib import Path
 from socketserver import ThreadingMixIn
 from typing import Any, NamedTuple
 from wsgiref.simple_server import WSGIRequestHandler, WSGIServer, make_server
 
-import matplotlib as mpl
 import numpy as np
 import xarray as xr
 import yaml
 from bokeh.resources import Resources
 from jinja2 import Environment, PackageLoader, Template
-from matplotlib import collections, lines, patheffects, text
+from matplotlib import collections, lines, patheffects, rcParams, text
 from matplotlib.figure import Figure
 
 from linksweep.sweep import formatting
@@ -115,7 +114,9 @@ def drawn(dataset: xr.Dataset, name: str, salt: str, variables: Sequence[str] = 
     """
 
     def draw(width: float | None = None) -> tuple[Figure, str]:
-        with _inside_a_page(f"{salt}-{width}", width):
+        with style.settings(width), warnings.catch_warnings():
+            rcParams.update({"svg.hashsalt": f"linksweep-{salt}-{width}", "svg.fonttype": "none"})
+            warnings.filterwarnings("ignore", message="Glyph")  # text stays text: the reader's fonts show it
             figure = drawing.draw_figure(dataset, kind, variables)
             figure.suptitle("")
             if width is None and figure.get_figwidth() <= ONE_PANEL:
@@ -160,14 +161,6 @@ def residuals(dataset: xr.Dataset, variable: str) -> xr.Dataset | None:
 def _varies(array: xr.DataArray) -> bool:
     finite = array.values[np.isfinite(array.values)] if array.dtype.kind in "biuf" else np.empty(0)
     return bool(finite.size and finite.min() < finite.max())
-
-
-@contextmanager
-def _inside_a_page(salt: str, width: float | None = None) -> Iterator[None]:
-    with style.settings(width), warnings.catch_warnings():
-        mpl.rcParams.update({"svg.hashsalt": f"linksweep-{salt}", "svg.fonttype": "none"})
-        warnings.filterwarnings("ignore", message="Glyph")  # text stays text: the reader's fonts show it
-        yield
 
 
 def _svg(figure: Figure) -> str:
@@ -308,8 +301,8 @@ def report_page(datasets: Sequence[tuple[str, xr.Dataset]]) -> str:
     for number, (name, dataset) in enumerate(datasets):
         try:
             result = Result(dataset)
-            alone = result.is_stored_table
-            one = link_section(name, result, number) if alone else section(name, dataset, number, room)
+            is_study = result.kind == "grid"
+            one = section(name, dataset, number, room) if is_study else link_section(name, result, number)
         except SweepError as error:
             raise SweepError(error.problems, error.where or name) from error
         sections.append(one)
