@@ -110,8 +110,8 @@ def sensitivity(dataset: xr.Dataset, output: str | None = None, seed: int = 0) -
     points = int(np.prod([dataset.sizes[d] for d in method.over]))
     notes = [f"sensitivity of {output} by {method.name}, from {points:,} points", *method.notes]
     if any((np.isnan(sigma) & np.isfinite(index)).any() for index, sigma, *_ in made):
-        why = "points share random numbers, or have Monte-Carlo errors that are not known"
-        notes.append(f"{why}: neither are the errors of indices, in which noise counts as variation")
+        why = "points share random numbers, or their Monte-Carlo errors are not known"
+        notes.append(f"{why}: errors of the indices are not known, and noise counts as variation")
     if unknown := sum(bool(np.isnan(one[0]).all()) for one in made):
         where = f" at {unknown} of {len(made)} places" if len(made) > 1 else ""
         notes.append(f"{output} does not vary{where}, or no more than its errors: no indices")

@@ -459,13 +459,17 @@ def _averaged(read: Columns, epoch: Array, further: Array, options: TableOptions
 
 
 def _numbers(cell: Any, number: re.Pattern[str]) -> Array:
-    return np.array(number.findall(cell) if isinstance(cell, str) else np.ma.filled(np.ma.ravel(cell), np.nan), float)
+    return np.array(number.findall(cell) if isinstance(cell, str) else np.ravel(np.ma.filled(cell, np.nan)), float)
 
 
 def _vectors(read: Columns, name: str, size: int, number: re.Pattern[str]) -> Array:
     """Return the numbers (size, N) in a column of arrays, or of texts of such numbers; NaN beyond their end."""
-    vectors = np.full((size, len(read)), np.nan)
-    for k, cell in enumerate(read.table[name]):
+    vectors, column = np.full((size, len(read)), np.nan), read.table[name]
+    if np.ndim(column) == 2:  # a loop takes minutes for a million rows
+        cells = np.ma.filled(np.ma.asarray(column).astype(np.float64), np.nan)[:, :size]
+        vectors[: cells.shape[1]] = cells.T
+        return vectors
+    for k, cell in enumerate(column):
         numbers = _numbers(cell, number)[:size]
         vectors[: len(numbers), k] = numbers
     return vectors
@@ -483,11 +487,16 @@ def put_vector(read: Columns, new: Mapping[str, Array]) -> str:
     for key, (i, j) in zip(CORRELATIONS, core.ALL_PAIRS, strict=False):
         row, values = vectors[j * (j - 1) // 2 + i], new.get(key, np.nan)
         np.copyto(row, values, where=np.isfinite(row) & np.isfinite(values))
-    cells = column.astype(np.float64 if np.ndim(column) > 1 else object)
-    for k in np.flatnonzero(np.isfinite(vectors).any(axis=0)):
-        numbers = _numbers(column[k], _ELEMENT)
-        numbers[: len(vectors)] = vectors[: len(numbers), k]
-        cells[k] = str(numbers.tolist()) if isinstance(column[k], str) else numbers
+    if column.ndim == 2:
+        cells, rows = column.astype(np.float64), vectors.T[:, : column.shape[1]]
+        known = np.isfinite(rows)
+        cells[:, : len(vectors)][known] = rows[known]
+    else:
+        cells = column.astype(object)
+        for k in np.flatnonzero(np.isfinite(vectors).any(axis=0)):
+            numbers = _numbers(column[k], _ELEMENT)
+            numbers[: len(vectors)] = vectors[: len(numbers), k]
+            cells[k] = str(numbers.tolist()) if isinstance(column[k], str) else numbers
     read.table[name] = cells.astype(str) if column.dtype.kind in "SU" else cells
     return name
 

@@ -148,7 +148,7 @@ def test_unknown_errors_of_points_are_unknown_errors_of_indices(name, shared, tm
     axes = dict.fromkeys("xz", np.linspace(0.05, 0.95, 10))
     found = sensitivity(run(noisy, tmp_path / "s", axes=axes, sampling={"n_sim": 20}), name)
     assert np.isnan(found[["first_error", "total_error"]].to_array()).all()
-    assert "in which noise counts" in found.attrs["notes"]
+    assert "noise counts as variation" in found.attrs["notes"]
     assert (found.total >= found["first"] - 1e-12).all()
 
 
