@@ -146,10 +146,11 @@ def rescaled(number: float, factor: float) -> float:
     """Return ``factor`` times a number in one unit, without the rounding error of what has at most 14 digits in the
     other: 1.1 cm are 0.011 m and no other number.
     """
+    if factor == 1.0:
+        return number
     product = factor * number
     short = float(f"{product:.14g}")
-    is_short = math.isclose(short, product, rel_tol=4 * sys.float_info.epsilon)
-    return number if factor == 1.0 else short if is_short else product
+    return short if math.isclose(short, product, rel_tol=4 * sys.float_info.epsilon) else product
 
 
 def same_unit(one: str, other: str) -> bool:

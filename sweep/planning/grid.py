@@ -153,10 +153,13 @@ class Grid:
         for _, *combination in zip(indices.tolist(), *along, strict=True):
             parameters = self._fixed.copy()
             parameters.update(zip(self._names, itertools.chain.from_iterable(combination), strict=True))
-            gone = self.study.missing(parameters)
-            is_there = all((parameters[name] is NO_EFFECT) == (name in gone) for name in self._lacking)
-            parameters.update(dict.fromkeys(gone))
-            yield parameters, gone, is_there and not self.excludes(parameters)
+            gone: list[str] = []
+            is_there = True
+            if self.study.when:
+                gone = self.study.missing(parameters)
+                is_there = all((parameters[name] is NO_EFFECT) == (name in gone) for name in self._lacking)
+                parameters.update(dict.fromkeys(gone))
+            yield parameters, gone, is_there and not (self.study.excluded and self.excludes(parameters))
 
     def idle(self, indices: NDArray[np.intp]) -> set[str]:
         """Return the parameters that have no effect at any of the points at ``indices``."""

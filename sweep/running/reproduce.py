@@ -216,7 +216,8 @@ def place_of(study: Study, at: str, where: str) -> tuple[dict[str, Any], dict[st
     """Return a point's parameters and place from ``NAME=VALUE,...``; raises SweepError that says what is wrong."""
     problems: list[str] = []
     wanted: dict[str, Any] = {}
-    for name, text in parse_places([at] if at.strip() else []).items():
+    texts = parse_places([at] if at.strip() else [])
+    for name, text in texts.items():
         try:
             wanted |= _on_axis(study, name, text)
         except ValueError as error:
@@ -224,12 +225,22 @@ def place_of(study: Study, at: str, where: str) -> tuple[dict[str, Any], dict[st
     if problems:
         raise SweepError(problems, where)
     grid = Grid(study)
-    there = [i for i, p in grid.parameters() if not any(is_other(value, p[name]) for name, value in wanted.items())]
+    # The row of a table has values also where they have no effect.
+    row = study.points.names if study.points and POINT in texts else ()
+    there = [
+        index
+        for index, point in grid.parameters()
+        if all(
+            not is_other(value, point[name]) or (name in row and name in study.missing(point))
+            for name, value in wanted.items()
+        )
+    ]
     if not there:
         raise SweepError(f"--at {shown(at)}: the study has no point with these values", where)
     along = dict(zip(grid.dimensions, np.unravel_index(there, grid.shape) if grid.shape else (), strict=True))
     for dimension, places in along.items():
-        if len({*places.tolist()}) > 1 and dimension not in wanted:  # None may be its value or where it has no effect
+        # None may be the value of an axis and where it has no effect
+        if len({*places.tolist()}) > 1 and not (dimension in wanted and dimension in study.lacking):
             values = dict.fromkeys(study.places.get(dimension) or range(len(grid.rows[dimension])))
             problems.append(f"--at: {dimension} needs a value, one of {first_of(list(values), MOST_NAMED)}")
     if problems:
@@ -248,7 +259,7 @@ def _on_axis(study: Study, name: str, text: str) -> dict[str, Any]:
         raise ValueError(f"{name}: is not an axis{suggest(name, list(study.axes))}")
     parameter = study.experiment.parameter(name)
     value = parameter.parse(parse_value(text, is_text=parameter.kind == "str"))
-    axis = list(dict.fromkeys(study.places[name]))
+    axis = list(dict.fromkeys([*study.axes[name], *[None] * (name in study.partial)]))
     if all(is_other(value, one) for one in axis):
         if not (hits := meant(axis, value)):
             raise ValueError(f"{name} = {shown(value)}: not on the axis, which has {first_of(plain(axis), MOST_NAMED)}")

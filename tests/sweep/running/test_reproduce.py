@@ -8,9 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.executor import Children
 from linksweep.sweep.formatting import without_secrets
 from linksweep.sweep.running import reproduce
+from linksweep.sweep.studies.reader import live_study
 from tests.sweep.opening import OpenStore, same
 from tests.tiers import slow
 
@@ -104,6 +106,21 @@ def test_points_that_do_not_differ_are_counted(tmp_path, sweep, command):
 
 def everything_in(folder):
     return b"".join(file.read_bytes() for file in folder.rglob("*") if file.is_file() and file.suffix != ".py")
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        {"points": {"a": [0.0, 1.0, 0.0], "b": [5.0, 6.0, 7.0]}},
+        {"axes": {"a": [0.0, 1.0], "b": [5.0, 6.0]}, "grid": {"zip": [["a", "b"]]}},
+    ],
+)
+def test_a_row_is_a_place_also_where_one_of_its_values_has_no_effect(table):
+    study = live_study({"experiment": lambda a=0.0, b=0.0: a + b, "when": {"b": {"a": [1.0]}}, **table})
+    places = {"a=0,b=None": None, "a=1,b=6": 6.0} | ({"point=0": None, "point=2": None} if "points" in table else {})
+    assert {at: reproduce.place_of(study, at, "")[0]["b"] for at in places} == places
+    with pytest.raises(SweepError, match="no point with these values"):
+        reproduce.place_of(study, "a=0,b=5", "")
 
 
 @pytest.mark.parametrize("name", ["script.py", slow("sweep"), slow("sweep.py")])
