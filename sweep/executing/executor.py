@@ -104,7 +104,8 @@ class Children:
     def __exit__(self, kind: type[BaseException] | None, *_error: object) -> None:
         end = time.monotonic() + (END_S if kind is None else 0.0)
         for child in self._children:
-            child.ask_to_end()
+            with suppress(OSError):
+                child.channel.send(None)  # one that waits for a task cleans up and ends
         for child in self._children:
             child.end(end - time.monotonic())
 
@@ -364,11 +365,6 @@ class _Child:
         self.process.join(patience_s)
         exit_code: int | None = self.process.exitcode
         return exit_code
-
-    def ask_to_end(self) -> None:
-        """Let a child that waits for a task clean up and end."""
-        with suppress(OSError):
-            self.channel.send(None)
 
     def end(self, patience_s: float = 0.0) -> None:
         """End the process unless it ends by itself within so many seconds."""

@@ -259,7 +259,8 @@ def _checked(function: Callable[..., Any], declaration: experiment) -> "Function
     if not isinstance(when, Mapping):
         problems.append(f"when = {shown(when)}: must be like {{'gamma': {{'kernel': ['rbf']}}}}")
         when = {}
-    problems += rules.named("when", list(when), [parameter.name for parameter in made.parameters], "parameter")
+    names = [parameter.name for parameter in made.parameters]
+    problems += rules.named("when", list(when), names, "parameter")
     parameters = tuple(replace(one, when=when.get(one.name, one.when)) for one in made.parameters)
     for parameter in parameters:
         problems += [f"parameter {parameter.name!r}: {text}" for text in rules.parameter_problems(parameter)]
@@ -274,9 +275,7 @@ def _checked(function: Callable[..., Any], declaration: experiment) -> "Function
         problems.append(f"tolerance = {shown(tolerance)}: is for vectorised functions; declare vectorised=True")
     if not isinstance(declaration.deterministic, bool):
         problems.append(f"deterministic = {shown(declaration.deterministic)}: must be True or False")
-    problems += rules.named(
-        "shared", declaration.shared, [parameter.name for parameter in made.parameters], "parameter"
-    )
+    problems += rules.named("shared", declaration.shared, names, "parameter")
     if declaration.shared and not made.rng:
         problems.append("shared: it takes no rng, and so it draws no random numbers")
     if declaration.vectorised and made.rng:

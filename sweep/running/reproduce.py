@@ -116,8 +116,12 @@ def reproduce(store: Where, at: str, *, trust: bool = False) -> Reproduction:
     opened = OpenStore(store)
     study = study_of(opened, trust=trust)
     place, indices = place_of(study, at, str(store))
+
+    def raising(task: Task) -> TaskResult:  # nothing is caught or captured, for the debugger
+        return run_task(replace(task, caught=False, repeatable=False))
+
     with threadpool_limits(1):  # as everywhere, since the last bits depend on it
-        result, failures = _alone(as_recorded(study, opened.attributes), place, _raising)
+        result, failures = _alone(as_recorded(study, opened.attributes), place, raising)
     for message in failures.values():
         raise ResultError(message)
     stored = opened.dataset().isel(indices)
@@ -193,11 +197,6 @@ def _alone(
         return dataset.to_xarray().drop_vars("wall_time").load(), failures
 
 
-def _raising(task: Task) -> TaskResult:
-    """Compute a task without catching or capturing anything, for the debugger."""
-    return run_task(replace(task, caught=False, repeatable=False))
-
-
 def _equal(one: Any, other: Any, tolerance: float = 0.0) -> bool:
     if tolerance and one.dtype.kind == "f" and one.shape == other.shape:
         return np.allclose(one, other, rtol=tolerance, atol=0.0, equal_nan=True)
@@ -227,14 +226,12 @@ def place_of(study: Study, at: str, where: str) -> tuple[dict[str, Any], dict[st
     grid = Grid(study)
     # The row of a table has values also where they have no effect.
     row = study.points.names if study.points and POINT in texts else ()
-    there = [
-        index
-        for index, point in grid.parameters()
-        if all(
-            not is_other(value, point[name]) or (name in row and name in study.missing(point))
-            for name, value in wanted.items()
-        )
-    ]
+
+    def is_meant(point: dict[str, Any]) -> bool:
+        others = [name for name, value in wanted.items() if is_other(value, point[name])]
+        return not others or {*row}.intersection(study.missing(point)).issuperset(others)
+
+    there = [index for index, point in grid.parameters() if is_meant(point)]
     if not there:
         raise SweepError(f"--at {shown(at)}: the study has no point with these values", where)
     along = dict(zip(grid.dimensions, np.unravel_index(there, grid.shape) if grid.shape else (), strict=True))

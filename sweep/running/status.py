@@ -125,7 +125,8 @@ def status_report(store: Where) -> dict[str, Any]:
     """
     location = located(store)
     with reading(location):
-        parts = _parts_beside(location) if location.is_free() else []
+        named = {Part.named(name): name for name in location.beside()} if location.is_free() else {}
+    parts = sorted(part for part, name in named.items() if part and name == part.place(location.name))
     if parts:
         return _of_parts(location, parts)
     opened = OpenStore(location)
@@ -172,12 +173,6 @@ def _state_of(store: Location, status: NDArray[np.int8]) -> tuple[str, str]:
     if (runs := holder(store)) is not None:
         return "running", str(runs)
     return ("stopped", "nobody runs it") if (status == MISSING).any() else ("finished", "")
-
-
-def _parts_beside(store: Location) -> list[Part]:
-    """Return the parts of a store that are beside its place."""
-    named = {Part.named(name): name for name in store.beside()}
-    return sorted(part for part, name in named.items() if part and name == part.place(store.name))
 
 
 def _of_parts(store: Location, parts: Sequence[Part]) -> dict[str, Any]:

@@ -765,14 +765,12 @@ def plain_points(points: Any) -> dict[str, Any]:
     if isinstance(points, str | PathLike):
         return {"file": str(points)}
     if isinstance(points, Mapping):
-        # a column may be called "file" or "design", but it is no text
-        is_form = any(isinstance(points.get(key), str) for key in ("file", "design"))
-        if is_form or isinstance(points.get("columns"), dict):
-            columns = points.get("columns")
-            if not isinstance(columns, dict):
-                return dict(plain(points, "points"))
+        if isinstance(columns := points.get("columns"), dict):
             whole = {str(name): plain_values(column, f"points.{name}") for name, column in columns.items()}
             return {**plain({**points, "columns": {}}, "points"), "columns": whole}
+        # a column may be called "file" or "design", but it is no text
+        if any(isinstance(points.get(key), str) for key in ("file", "design")):
+            return dict(plain(points, "points"))
     if isinstance(points, Mapping) or hasattr(points, "colnames"):
         table = {str(name): points[name] for name in getattr(points, "colnames", points)}
         known = [name for name, one in table.items() if is_quantity(one) or hasattr(points, "colnames")]
