@@ -6,6 +6,7 @@ import subprocess
 import sys
 import warnings
 from contextlib import chdir
+from decimal import localcontext
 from pathlib import Path
 
 import pytest
@@ -129,7 +130,7 @@ def start_sweep():
 
 def run_sweep(*arguments, cwd=None, code=None):
     """Run `sweep` in this process; return (exit code, stdout, stderr), the code one that is required."""
-    with chdir(cwd or Path.cwd()), warnings.catch_warnings(record=True):
+    with chdir(cwd or Path.cwd()), localcontext(), warnings.catch_warnings(record=True):  # as the end of a process does
         warnings.filterwarnings("default", module="linksweep_local_")  # of experiments in files
         done = CliRunner().invoke(main, [str(argument) for argument in arguments], prog_name="sweep")
     if done.exception is not None and not isinstance(done.exception, SystemExit):

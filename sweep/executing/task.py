@@ -20,7 +20,7 @@ from linksweep.sweep.code import as_recorded_where_unsteady, code_of, load_exper
 from linksweep.sweep.contract import Block, NotFiniteError, Outcome, ResultError, SweepError
 from linksweep.sweep.executing.pools import NO_LIMITS, Limits
 from linksweep.sweep.planning.plan import Work
-from linksweep.sweep.studies.study import Study, is_other
+from linksweep.sweep.studies.study import Study
 
 DECIDING = ("linksweep", "numpy", "scipy")
 OTHERS = ("dask", "distributed", "msgpack", "cloudpickle", "tornado", "threadpoolctl")
@@ -275,7 +275,8 @@ class Batch:
         units = []
         for work in self.works:
             points = (self.study.arguments(point.parameters).items() for point in work.points)
-            changed = tuple({k: v for k, v in point if is_other(v, defaults[k])} for point in points)
+            # As it was written, also where it equals the default: 1.0 is not 1 to a function.
+            changed = tuple({k: v for k, v in point if v is not defaults[k]} for point in points)
             units.append(PointBlock(changed, work.points[0].stream, work.block))
         kept, code, again = sampling.keep_samples, source_digest(reference), experiment.repeatable
         return Task(reference, sampling.seed, tuple(units), kept, limits.time_s, code, enough_s, again, keep=self.keep)

@@ -81,6 +81,15 @@ def test_what_may_be_a_number_can_be_one(annotation, tmp_path):
         assert (ds.status == 1).all()
 
 
+@pytest.mark.parametrize("pool", ["serial", "processes"])
+def test_a_value_that_equals_the_default_arrives_as_it_is_written(pool, tmp_path):
+    def kind(x: object = 1):
+        return type(x).__name__
+
+    ds = run(kind, tmp_path / "s.zarr", axes={"x": [0.5, 1.0]}, pool=pool)
+    assert ds.kind.values.tolist() == ["float"] * 2
+
+
 class Thing:
     def method(self, x: float):
         return x
