@@ -147,10 +147,8 @@ def sweep_here():
 
 @pytest.fixture
 def sweep(sweep_here, start_sweep):
-    """A function that runs `sweep` to its end and returns (exit code, stdout, stderr).
-
-    What names workers or limits is run as a process, all else in this one, which is much cheaper.  A `run` is told so:
-    it would choose by the time its first points take, and a test must not depend on how busy the machine is.
+    """A function that runs `sweep` to its end and returns (exit code, stdout, stderr): what names workers or limits as a
+    process, all else in this one, as a `run` is told, which would else choose by the time that its first points take.
     """
 
     def sweep(*arguments, cwd=None, code=None):

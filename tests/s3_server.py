@@ -1,7 +1,6 @@
 """An S3 server on loopback: ``python -m tests.s3_server PORT``.
 
-Requests are answered one at a time.  S3 decides about a conditional request in one step; moto, with a thread for each
-connection, looks first and writes later.
+One request at a time: S3 decides about a conditional one in one step; moto's threads look first and write later.
 """
 
 import sys

@@ -36,7 +36,7 @@ OF_THE_PLATFORM = {
 }
 OF_LIBRARIES = {
     "core": "numpy scipy pygaia erfa pandas bisect dataclasses typing collections types functools itertools math re "
-    "csv importlib json sys",
+    "csv importlib json sys"
 }
 # Of the core, the experiment and what it is made of know the contract.
 KNOWS_THE_CONTRACT = "core.parameters core.setup core.experiment core.missions core.catalogues core.errors"

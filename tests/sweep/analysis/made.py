@@ -21,10 +21,7 @@ MISSING, DONE, FAILED, EXCLUDED = Status.MISSING, Status.DONE, Status.FAILED, St
 
 
 def grid(value, error=None, x=N, name="n", unit="", status=None, published=None, claims=(), printed=None, **more):
-    """A dataset as a run leaves it: ``width`` in mas over model x one axis of numbers.
-
-    ``published`` is {(model, n): text}, and ``printed`` has the attributes of such a table.
-    """
+    """A dataset as a run leaves it, ``width`` in mas over model x one axis; ``published`` is {(model, n): text}."""
     axes, value = ("model", name), np.atleast_2d(np.asarray(value, dtype=float))
     models = max(2, len(value))
     value = np.broadcast_to(value, (models, len(x)))

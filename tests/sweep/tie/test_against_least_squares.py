@@ -25,10 +25,7 @@ CLIPPED = ("covariance", "huber:1.5"), ("variance", "huber:1.5"), ("covariance",
 
 
 def drawn_tables(folder, seed, n=12, free=2, scale=1.0, far=(), coarse=(), calibrators=("",)):
-    """Write a satellite's table and a reference's; return what least squares need of them.
-
-    The last ``free`` sources have positions alone; those in ``far`` are off by 30 mas, those in ``coarse`` by 15 mas.
-    """
+    """Write two tables; the last ``free`` sources have positions alone, ``far`` are off by 30 mas, ``coarse`` by 15."""
     rng = np.random.default_rng(seed)
     epoch = 2016.0 + rng.uniform(-3.0, 3.0, n)
     made = replace(stars(n, seed, pm=20.0), radial_velocity=np.zeros(n), epoch=epoch)
@@ -73,10 +70,7 @@ def motion(years):
 
 
 def pieces_of(tables, difference, epoch=2016.0):
-    """Yield of each source, in mas: y, A and B of the model y = A x + B z + e, and the covariance D of e.
-
-    Here x are orientation and spin, z the parameters that the satellite lacks; M are derivatives by all of the source.
-    """
+    """Yield y, A, B, and the covariance of e, of y = A x + B z + e (mas) of each source; the satellite lacks z."""
     own, rows = tables.own, tables.rows
     covariance = np.zeros((len(own), 9, 9))
     covariance[:, :5, :5] = own.covariance()

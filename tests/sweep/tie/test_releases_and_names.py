@@ -180,10 +180,7 @@ def test_parallaxes_are_those_of_the_authors_package(tmp_path):
 
 
 def bright(folder):
-    """Write motions with the spin of bright stars of EDR3, and those without it.
-
-    Cantat-Gaudin & Brandt 2021 (A&A 649, A124), in three bins.
-    """
+    """Write motions with the spin of bright stars of EDR3 (Cantat-Gaudin & Brandt 2021, three bins), and without it."""
     made = replace(stars(30, 2), radial_velocity=np.zeros(30))
     x, y, z = np.tile([[18.4, 27.3, 0.0], [33.8, 76.6, 0.0], [-11.3, 0.5, 0.0]], 10) * MAS / 1000.0
     values, (ra, dec) = made.values.copy(), made.values[:2]
