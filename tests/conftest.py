@@ -147,8 +147,8 @@ def sweep_here():
 
 @pytest.fixture
 def sweep(sweep_here, start_sweep):
-    """A function that runs `sweep` to its end and returns (exit code, stdout, stderr): what names workers or limits as a
-    process, all else in this one, as a `run` is told, which would else choose by the time that its first points take.
+    """Runs `sweep` to its end, and returns (exit code, stdout, stderr): in this process, which is cheap,
+    and there serially, unless the command names workers or limits; else it would choose by how busy the machine is.
     """
 
     def sweep(*arguments, cwd=None, code=None):
