@@ -13,6 +13,8 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from decimal import Context, Decimal
+from fractions import Fraction
 from functools import cached_property, lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, Literal, Protocol, TypeVar, get_args
@@ -25,6 +27,9 @@ from linksweep.sweep.formatting import harmless, plain
 
 # The most names that a message lists.
 FEW = 20
+
+# Many more digits than numbers have, so that a product is rounded once, where it becomes one.
+_DIGITS = Context(prec=60)
 
 
 class SweepError(Exception):
@@ -142,15 +147,21 @@ def factor_between(one: str, other: str) -> float | None:
         return None
 
 
+@lru_cache(maxsize=256)
+def _ratio(factor: float) -> tuple[Decimal, Decimal]:
+    """Return two integers whose ratio is a factor without its rounding error: 1e9 to 1 for 999999999.9999999."""
+    short = Fraction(f"{factor:.14g}"), 1 / Fraction(f"{1.0 / factor:.14g}"), Fraction(factor).limit_denominator(10_000)
+    near = (one for one in short if math.isclose(one, factor, rel_tol=4 * sys.float_info.epsilon))
+    over, under = next(near, Fraction(factor)).as_integer_ratio()
+    return Decimal(over), Decimal(under)
+
+
 def rescaled(number: float, factor: float) -> float:
-    """Return ``factor`` times a number in one unit, without the rounding error of what has at most 14 digits in the
-    other: 1.1 cm are 0.011 m and no other number.
-    """
+    """Return ``factor`` times a number as it is written, rounded once: 1.1 cm are 0.011 m and no other number."""
     if factor == 1.0:
         return number
-    product = factor * number
-    short = float(f"{product:.14g}")
-    return short if math.isclose(short, product, rel_tol=4 * sys.float_info.epsilon) else product
+    over, under = _ratio(factor)
+    return float(_DIGITS.divide(_DIGITS.multiply(Decimal(str(number)), over), under))
 
 
 def same_unit(one: str, other: str) -> bool:

@@ -23,7 +23,7 @@ import numpy as np
 
 from linksweep.sweep.code import Code, reach_of
 from linksweep.sweep.contract import Array, Experiment, Named, Parameter, SweepError, Value, nearest, shown, suggest
-from linksweep.sweep.contract.experiment import LABEL, factor_between, is_quantity, name_problem, rescaled
+from linksweep.sweep.contract.experiment import LABEL, factor_between, is_quantity, name_problem, rescaled, same_unit
 from linksweep.sweep.formatting import first_of
 from linksweep.sweep.studies.study import POINT, Form, PointsForm, PointTable, Sampling, number_at
 from linksweep.sweep.tables.columns import rows_listed, table_file
@@ -480,10 +480,11 @@ def _written(form: PointsForm, values: Values, settings: Mapping[str, Any], code
         elif form.file is not None:
             (columns, units), origin = _in_file(form, values), {"file": Path(form.file).name}
         if form.design is None:
-            columns, units = _plainly_named(columns, units, {*values.experiment.defaults(), *form.labels})
+            known = [*values.experiment.defaults(), *form.labels]
+            columns, units = _plainly_named(columns, units, form.units, known)
             columns, labels = _apart(columns, form, values)
             ours = {*columns, *form.units}.difference(labels)
-            units = {name: unit for name, unit in (units | form.units).items() if name in ours}
+            units = {name: unit for name, unit in units.items() if name in ours}
             columns = _in_units(columns, units, values, ("points", form.source))
     with problems.at(("points",)):
         lengths = {name: len(column) for name, column in {**columns, **labels}.items()}
@@ -500,15 +501,22 @@ def _written(form: PointsForm, values: Values, settings: Mapping[str, Any], code
     return columns, PointTable(tuple(columns), origin, labels)
 
 
-def _plainly_named(columns: Cells, units: dict[str, str], known: Collection[str]) -> tuple[Cells, dict[str, str]]:
-    """Return columns and units by names that are known, behind which a column's own may have a unit: ``x [cm]``."""
-    plain: dict[str, list[Any]] = {}
-    for name, cells in columns.items():
-        match = BRACKETS.fullmatch(name)
-        if match and match[1] in {*known}.difference(columns, plain):
-            plain[match[1]], units = cells, {**units, match[1]: match[2]}
-        else:
-            plain[name] = cells
+def _plainly_named(
+    columns: Cells, in_file: Mapping[str, str], said: Mapping[str, str], known: Collection[str]
+) -> tuple[Cells, dict[str, str]]:
+    """Return columns and units by names that are known, behind which a column's own may have a unit: ``x [cm]``.
+
+    Raises ValueError for a column in one unit that is said to be in another.
+    """
+    plain, units = dict[str, list[Any]](), dict(said)
+    for column, cells in columns.items():
+        match = BRACKETS.fullmatch(column)
+        is_known = match and match[1] in {*known}.difference(columns, plain)
+        name, unit = match.groups() if match and is_known else (column, "")
+        unit, stated = in_file.get(column, unit), units.pop(column, said.get(name, ""))
+        if unit and stated and not same_unit(unit, stated):
+            raise ValueError(f"{name}: its column is in {unit}, and not in {stated}")
+        plain[name], units[name] = cells, unit or stated
     return plain, units
 
 

@@ -62,6 +62,8 @@ _CLOCK = re.compile(r'"?[hd]:m:s"?')  # VizieR's unit of text like 12 34 56.7
 _MEANINGS = re.compile(r"^#Column\t(\S+)\t\S+\t([^\t\n]*)", re.MULTILINE)
 # How tables spell units out; dates are numbers of days.
 _WORDS = {"degrees": "deg", "hours": "h", "radians": "rad", "MJD": "d", "years": "yr", "hms": "h:m:s", "dms": "d:m:s"}
+# A name between blanks that may have a unit behind it, or stand in quotes.
+_SPACED = re.compile(r'"[^"]+"|\S+(?:\s+[\[(][^\])]*[\])])?')
 # A name and the unit behind it.
 BRACKETS = re.compile(r"(.*?)\s*[\[(]([^\])]*)[\])]$")
 
@@ -320,6 +322,11 @@ def _fields(line: str, delimiter: str) -> list[str]:
     return [field.strip() for field in next(csv.reader([line.rstrip("\r\n")], delimiter=delimiter), [])]
 
 
+def _spaced(line: str) -> list[str]:
+    """Return names between blanks, of which some are in quotes, or have a blank in front of their unit."""
+    return [name.strip('"') for name in _SPACED.findall(line)]
+
+
 def _layout(content: bytes) -> tuple[list[str], list[str], str, int]:
     """Return names and units of the columns, their delimiter, and the byte at which the first row begins."""
     lines = [line.decode() for line in islice(io.BytesIO(content), PREFACE_LINES)]
@@ -330,11 +337,15 @@ def _layout(content: bytes) -> tuple[list[str], list[str], str, int]:
     unquoted = re.sub(r'"[^"]*"', "", header)
     best = max(DELIMITERS, key=unquoted.count)
     delimiter = best if best in unquoted else " "
+    row = next((_fields(line, delimiter) for line in lines[at + 1 :] if line.strip() and line[0] != "#"), [])
     names, units, first = _fields(header, delimiter), None, at
+    if delimiter == " " and len(names) != len(row):
+        names = _spaced(header)
     if any(map(_NUMBER.fullmatch, names)):  # this line is a row already
         comments = [line.lstrip("#") for line in reversed(lines[:at]) if line[:1] == "#"]
         above = [_fields(line, d) for line in comments for d in dict.fromkeys((delimiter, " "))]
-        fitting = [fields for fields in above if len(fields) == len(names)] or [names]
+        fitting = [fields for fields in above if len(fields) == len(names)]  # rather than words with a remark behind
+        fitting = fitting or [fields for fields in map(_spaced, comments) if len(fields) == len(names)] or [names]
         units = fitting.pop(0) if len(fitting) > 1 and _are_units(fitting[0], lines[at:], delimiter) else None
         names = fitting[0]
         if any(map(_NUMBER.fullmatch, names)):

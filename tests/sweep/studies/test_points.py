@@ -107,6 +107,7 @@ WRONG = [
     ({"file": "t.csv", "n": 3}, "points: n: does not go with file"),
     ({"columns": {"k": [1]}, "design": "sobol"}, "exactly one of file, design and columns"),
 ]
+LONG = 86.85482395804122
 ELSEWHERE = "is a quantity in km; give numbers in the unit of the parameter, .to_value('km')"
 DISTANCES = QTable({"distance": Masked([1.0, 2.0] * u.km, mask=[False, True])})
 pointed = experiment()(lambda point=1.0, k=1: point * k)
@@ -116,6 +117,7 @@ ALL_WRONG = [
     (far, {"fixed": {"distance": 3.0 * u.km}}, f"fixed.distance: {ELSEWHERE}"),
     (far, {"points": {"distance": [1.0 * u.km, 2.0 * u.km]}}, f"points.distance: {ELSEWHERE}"),
     (far, {"points": DISTANCES}, "points.columns.distance: has no value in row 2"),
+    (far, {"points": {"columns": {"distance [cm]": [1.0]}, "units": {"distance": "m"}}}, "is in cm, and not in m"),
     # which parameters a wrong table has is not known: those without a default are not asked for
     (far, {"points": sobol(n="4")}, "points.n: input should be a valid integer, not '4'"),
     (far, {"points": {"distance": [1.0], "m": [1]}}, "columns.m: unknown parameter 'm'; known are distance, n"),
@@ -167,13 +169,13 @@ def test_a_sobol_design_that_is_not_a_power_of_two_is_warned_of(sweep, tmp_path,
 @pytest.mark.parametrize("kind", ["row", "name", "columns", "nan", "masked"])
 def test_a_column_in_another_unit_has_gaps_and_the_numbers_of_the_parameter(kind, tmp_path, read):
     names = "distance [cm],n\n" if kind == "name" else "distance,n\ncm,\n"
-    (tmp_path / "t.csv").write_text(f"{names}1.1,1\n,2\n29,3\n")
+    (tmp_path / "t.csv").write_text(f"{names}1.1,1\n,2\n{LONG},3\n")
     held = {
-        "columns": {"columns": {"distance": [1.1, None, 29], "n": [1, 2, 3]}, "units": {"distance": "cm"}},
-        "nan": QTable({"distance": [1.1, np.nan, 29.0] * u.cm, "n": [1, 2, 3]}),
-        "masked": Table({"distance": MaskedColumn([1.1, 2, 29], mask=[0, 1, 0], unit="cm"), "n": [1, 2, 3]}),
+        "columns": {"columns": {"distance": [1.1, None, LONG], "n": [1, 2, 3]}, "units": {"distance": "cm"}},
+        "nan": QTable({"distance": [1.1, np.nan, LONG] * u.cm, "n": [1, 2, 3]}),
+        "masked": Table({"distance": MaskedColumn([1.1, 2, LONG], mask=[0, 1, 0], unit="cm"), "n": [1, 2, 3]}),
     }.get(kind, tmp_path / "t.csv")
-    assert read(held, perhaps_far)["distance"] == ["0.011", "None", "0.29"]
+    assert read(held, perhaps_far)["distance"] == ["0.011", "None", "0.8685482395804122"]
 
 
 def test_a_function_derives_further_columns(tmp_path, read, problems_of):

@@ -110,6 +110,8 @@ DELIMITED = [
     ("ra dec id\n10.5 20 1\n# a comment\n200 -3 2", ["ra", "dec", "id"]),
     ("ra,dec,id\ndegrees,deg,\n10.5,20,1\n200,-3,2\n", ["ra", "dec", "id"]),
     ("ra [deg],dec (deg),id\n10.5,20,1\n200,-3,2\n", ["ra [deg]", "dec (deg)", "id"]),
+    ('ra [deg] "dec (deg)" id\n10.5 20 1\n200 -3 2\n', ["ra [deg]", "dec (deg)", "id"]),
+    ("# ra [deg] dec (deg) id\n10.5 20 1\n200 -3 2\n", ["ra [deg]", "dec (deg)", "id"]),
     ("#ra;dec;id\n#(deg);(deg);\n10.5;20;1\n200;-3;2\n", ["ra", "dec", "id"]),  # as psrcat writes it
     ("# ra dec id\n# deg deg -\n10.5 20 1\n200 -3 2\n", ["ra", "dec", "id"]),
 ]
