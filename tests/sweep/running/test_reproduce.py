@@ -16,6 +16,7 @@ from linksweep.sweep.studies.reader import live_study
 from tests.sweep.opening import OpenStore, same
 from tests.tiers import slow
 
+TABLE, ZIPPED = {"a": [0.0, 1.0, 0.0], "b": [5.0, 6.0, 7.0]}, {"a": [0.0, 1.0], "b": [5.0, 6.0]}
 EXPERIMENT = (Path(__file__).parents[1] / "coins.py").read_text()
 FRAGILE = EXPERIMENT.replace(
     "    bias =",
@@ -106,9 +107,6 @@ def test_points_that_do_not_differ_are_counted(tmp_path, sweep, command):
 
 def everything_in(folder):
     return b"".join(file.read_bytes() for file in folder.rglob("*") if file.is_file() and file.suffix != ".py")
-
-
-TABLE, ZIPPED = {"a": [0.0, 1.0, 0.0], "b": [5.0, 6.0, 7.0]}, {"a": [0.0, 1.0], "b": [5.0, 6.0]}
 
 
 @pytest.mark.parametrize("table", [{"points": TABLE}, {"axes": ZIPPED, "grid": {"zip": [["a", "b"]]}}])
