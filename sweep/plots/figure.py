@@ -355,8 +355,8 @@ def one_axis(dataset: xr.Dataset, variable: str, over: Sequence[str]) -> str:
     grid = {*dataset["status"].dims} - {POINT}
     axes = [str(n) for n, c in dataset.coords.items() if c.ndim == 1 and c.dims[0] in grid] + numeric
     # names of components only if they are asked for or alone
-    own = [d for d in quantity.own_dimensions(dataset, variable) if d in dataset.coords]
-    axes += own if over or not axes else []
+    further = [d for d in quantity.own_dimensions(dataset, variable) if d in dataset.coords]
+    axes += further if over or not axes else []
     if over and (len(over) > 1 or over[0] not in axes):
         known = ", ".join(dict.fromkeys(axes)) or "none"
         raise SweepError(f"{', '.join(over)} is not one axis to draw along; there are {known}")
