@@ -19,7 +19,7 @@ LIFETIME_S = 5.0
 
 STUDY = """
 title = "Tasks that sleep"
-experiment = "tests.sweep.sleepers:experiment"
+experiment = "benchmarks.sleepers:experiment"
 [axes]
 sheep = { start = 1, stop = %d, step = 1 }
 [fixed]

@@ -53,7 +53,7 @@ def forked(serve, *arguments) -> int:
 
 def main(workers: int, threads: int, lifetime_s: float) -> None:
     """Start them, replace some, end them."""
-    Identity.here("tests.sweep.sleepers:experiment")  # versions are read once, and not by 64 processes on two cores
+    Identity.here("benchmarks.sleepers:experiment")  # versions are read once, and not by 64 processes on two cores
     read, write = os.pipe()
     processes = [forked(schedule, write)]
     os.close(write)
