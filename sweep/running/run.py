@@ -550,10 +550,11 @@ class Writer:
         since it was last so counts as made by other code.
         """
         for name, file in self.declared_files.items():
-            stamp = file.stat().st_mtime if file.is_file() else 0.0
+            stamp = file.stat().st_mtime if file.is_file() else None
+            if stamp is not None and stamp == self._stamps.get(name):
+                continue
             records, part = records_of(self.store.attributes), f"file {name}"
-            content = file.read_bytes() if stamp not in (0.0, self._stamps.get(name)) else None
-            if stamp and (content is None or digest_of(content) == records[-1]["code"][part]):
+            if stamp is not None and digest_of(file.read_bytes()) == records[-1]["code"][part]:
                 self._stamps[name] = stamp
                 continue
             code = {**records[-1]["code"], part: "as it was while a run went on"}
