@@ -168,7 +168,7 @@ class Layout:
     """The only kind, instead of random ones."""
 
     def write(self, folder: Path, constant: str = "3.0", *, cosmetic: bool = False) -> None:
-        """Write the modules below a folder, ``main.py`` in ``work/``; ``cosmetic`` changes what changes no number."""
+        """Write the modules below a folder, ``main.py`` in ``project/``; ``cosmetic`` changes what changes no number."""
         chance, other = random.Random(self.seed), random.Random(f"other {self.seed}")
         self.kinds.clear()
         self._reexported: list[tuple[str, str]] = []
@@ -194,12 +194,12 @@ class Layout:
                 other.shuffle(body)
                 body = [re.sub(r"(?m)^( *)def .*:$", r'\g<0>\n\1    """Return a number."""', block) for block in body]
                 body = [f"# {other.random()}\n{block}" for block in body]
-            where = (folder / "work" / file).resolve()
+            where = (folder / "project" / file).resolve()
             where.parent.mkdir(parents=True, exist_ok=True)
             where.write_text('"""A module."""\n' * cosmetic + "\n\n\n".join([head, *body]) + "\n")
-        for package in ("work/local", "lib/pkg", "lib/pkg/sub"):
+        for package in ("project/local", "lib/pkg", "lib/pkg/sub"):
             (folder / package).mkdir(parents=True, exist_ok=True)
-            files = [((folder / "work" / file).resolve(), name) for file, name in self._reexported]
+            files = [((folder / "project" / file).resolve(), name) for file, name in self._reexported]
             here = [(file.stem, name) for file, name in files if file.parent == (folder / package).resolve()]
             exported = "".join(f"from .{module} import {name}\n" for module, name in here)
             (folder / package / "__init__.py").write_text(exported)

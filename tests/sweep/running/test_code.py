@@ -237,7 +237,7 @@ def run(folder, axis):
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(folder / "lib")
         patch.setattr(sys, "dont_write_bytecode", True)  # Python takes it by the second and the size of a file
-        linksweep.run(f"{folder}/work/main.py:f", axes={"x": axis}, store=folder / "s.zarr", pool="serial")
+        linksweep.run(f"{folder}/project/main.py:f", axes={"x": axis}, store=folder / "s.zarr", pool="serial")
 
 
 def check(layout, folder):
@@ -265,8 +265,8 @@ def test_so_it_is_for_each_kind(tmp_path, kind):
 @pytest.mark.parametrize("call", ["importlib.import_module('pkg')", "__import__('pkg')"])
 def test_a_module_that_a_function_imports_by_a_name_counts(tmp_path, call):
     (tmp_path / "lib" / "pkg").mkdir(parents=True)
-    (tmp_path / "work").mkdir()
-    (tmp_path / "work" / "main.py").write_text(f"import importlib\ndef f(x: float):\n    return x * {call}.K\n")
+    (tmp_path / "project").mkdir()
+    (tmp_path / "project" / "main.py").write_text(f"import importlib\ndef f(x: float):\n    return x * {call}.K\n")
     (tmp_path / "lib" / "pkg" / "__init__.py").write_text("K = 1.0\n")
     run(tmp_path, [1.0])
     run(tmp_path, [1.0, 2.0])
