@@ -74,6 +74,10 @@ def test_the_commands_of_a_page_run_and_write_what_it_shows(page, tmp_path, swee
         ds = xr.open_zarr(tmp_path / "sir.zarr")
         assert ds.infected.dims == ("beta", "time")
         assert ds.peak.values.tolist() == ds.infected.max("time").values.tolist()
+        (pair,) = re.findall(r"`(linksweep\.run\(sir.*?)`", (ROOT / "docs" / "functions.md").read_text())
+        sweep(*shlex.split(commands("functions.md")[0])[1:-1], "pair.zarr", cwd=tmp_path, code=0)
+        python(tmp_path, "-c", f"import linksweep\nfrom sir import sir\n{pair.replace('sir.zarr', 'pair.zarr')}")
+        assert xr.open_zarr(tmp_path / "pair.zarr").beta.values.tolist() == [k / 20 for k in range(2, 11)]
     if page == "points":
         sizes = [xr.open_zarr(tmp_path / name).sizes["point"] for name in ("flow.zarr", "both.zarr")]
         assert sizes == [128, 3]  # at two values of hl

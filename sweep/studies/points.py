@@ -12,9 +12,11 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from decimal import Context, Decimal
 from enum import Enum
+from fractions import Fraction
 from functools import cached_property, partial
-from itertools import pairwise
+from itertools import accumulate, pairwise, repeat
 from os import PathLike
 from pathlib import Path, PurePath
 from typing import Any, NamedTuple
@@ -242,9 +244,9 @@ def _is_log(spec: Mapping[str, Any], *ends: float) -> bool:
 def axis_values(spec: object, whole: bool = False) -> list[Any]:
     """Return the values of an axis written as a list, {values}, {start, stop, step} or {start, stop, num, spacing}.
 
-    A range includes its stop; values are rounded to 12 digits, so that 14.1 from a range is the 14.1 of a list, or to
-    more where 12 would move them by a thousandth of a step.  If ``whole``, those that are log-spaced are rounded to
-    integers, and a range of integers is exact.  Raises ValueError that says what is allowed.
+    A range includes its stop; values are computed from the decimals that are written and rounded once, so that 14.1
+    from a range is the 14.1 of a list.  If ``whole``, those that are log-spaced are rounded to integers.  Raises
+    ValueError that says what is allowed.
 
     >>> axis_values({"start": 14, "stop": 16, "step": 0.5})
     [14.0, 14.5, 15.0, 15.5, 16.0]
@@ -262,39 +264,40 @@ def axis_values(spec: object, whole: bool = False) -> list[Any]:
             f"{shown(spec)}{alone} write a list, {{ start, stop, step }} or {{ start, stop, num, spacing }}"
         )
     start, stop = number_at("start", spec), number_at("stop", spec)
-    exact = whole and isinstance(start, int) and isinstance(stop, int)
+    first, last = Decimal(str(start)), Decimal(str(stop))
+    low, distance, reaches = Fraction(first), Fraction(last) - Fraction(first), True
     if "step" in spec:
-        step = number_at("step", spec)
-        if step == 0 or (count := (stop - start) / step) < 0:
-            raise ValueError(f"step = {shown(step)}: does not lead from start = {shown(start)} to stop = {shown(stop)}")
-        if count > MAX_VALUES:
-            raise ValueError(f"start, stop, step make about {count:.3g} values; at most {MAX_VALUES} are allowed")
-        if exact and isinstance(step, int):
-            return [start + step * i for i in range((stop - start) // step + 1)]
-        # The stop is one of the values although start and stop are rounded, and the step may not divide their distance.
-        unsure = 1e-9 + 2 * sys.float_info.epsilon * max(abs(start), abs(stop)) / abs(step)
-        return _rounded([start + step * i for i in range(math.floor(count + min(unsure, 1e-3)) + 1)], step)
-    num = number_at("num", spec)
-    if not isinstance(num, int) or not 1 <= num <= MAX_VALUES:
-        raise ValueError(f"num = {shown(num)}: must be an integer from 1 to {MAX_VALUES}")
-    parts = max(num - 1, 1)
-    if _is_log(spec, start, stop):
-        values = _rounded([start * (stop / start) ** (i / parts) for i in range(num)])
-        ends = {0: start, parts: stop} if exact else {}  # they may have more than 12 digits
-        return [ends.get(i, round(v) if math.isfinite(v) else v) for i, v in enumerate(values)] if whole else values
-    if exact and (stop - start) % parts == 0:
-        return [start + (stop - start) // parts * i for i in range(num)]
-    return _rounded([start + (stop - start) * i / parts for i in range(num)], (stop - start) / parts)
-
-
-def _rounded(values: Sequence[float], step: float = math.inf) -> list[float]:
-    """Return numbers with 12 digits, or with 15 where 12 would move one by a thousandth of a step, as they do Julian
-    dates that are a second apart.  The rounding error that steps across zero leave of it is zero.
-    """
-    error = 4 * sys.float_info.epsilon * max(map(abs, values)) if step < math.inf else 0.0
-    short = [float(f"{x:.12g}") for x in [values[0], *(0.0 if abs(x) <= error else x for x in values[1:])]]
-    fine = 1e-3 * abs(step)
-    return [s if step == 0 or abs(s - x) <= fine else float(f"{x:.15g}") for s, x in zip(short, values, strict=True)]
+        step = Fraction(str(number_at("step", spec)))
+        if step == 0 or distance / step < 0:
+            problem = f"does not lead from start = {shown(start)} to stop = {shown(stop)}"
+            raise ValueError(f"step = {shown(spec['step'])}: {problem}")
+        # The stop is one of the values although a step that was computed may not divide the distance.
+        noise = 0 if whole else 4 * Fraction(sys.float_info.epsilon) * max(abs(low), abs(low + distance))
+        unsure = 0 if whole else min(abs(step) / 10**9 + noise, abs(step) / 1000)
+        parts = math.floor((abs(distance) + unsure) / abs(step))
+        if parts >= MAX_VALUES:
+            raise ValueError(f"start, stop, step make more than {MAX_VALUES} values; no more are allowed")
+        beside = abs(distance - parts * step)
+        step, reaches = distance / parts if parts and beside <= noise else step, beside <= unsure
+    else:
+        num = number_at("num", spec)
+        if not isinstance(num, int) or not 1 <= num <= MAX_VALUES:
+            raise ValueError(f"num = {shown(num)}: must be an integer from 1 to {MAX_VALUES}")
+        parts = num - 1
+        step = distance / max(parts, 1)
+    if "num" in spec and _is_log(spec, start, stop):
+        digits = Context(prec=40)
+        ratio = digits.power(digits.divide(last, first), digits.divide(1, max(parts, 1)))
+        logs = accumulate(repeat(ratio, parts), digits.multiply, initial=first)
+        values = [round(x) if whole else float(x) for x in logs]
+    else:
+        unit = math.lcm(low.denominator, step.denominator)
+        begin, each = int(low * unit), int(step * unit)
+        numbers = (begin + each * i for i in range(parts + 1))
+        values = [n // unit if whole and n % unit == 0 else n / unit for n in numbers]
+    if parts and reaches and not whole:
+        values[-1] = float(stop)
+    return values
 
 
 @dataclass(frozen=True)
