@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import FEWEST_SAMPLES, Array, Output, Parameter, Rows, Status, Sums, SweepError
+from linksweep.sweep.contract import FEWEST_SAMPLES, Array, Output, Parameter, Rows, Status, Sums
 from linksweep.sweep.contract.rows import LENGTH, MISSING_INT, REFERENCE, Block, Reducer, absent, ledger_key
 from linksweep.sweep.formatting import ERRORS, RAGGED, TRUTH, described, short_meaning
 from linksweep.sweep.planning.accumulator import Accumulator
@@ -323,8 +323,6 @@ def _coordinates(grid: Grid) -> dict[str, Variable]:
     if study.points is not None:
         coordinates[POINT] = Variable((POINT,), np.arange(grid.shape[0]), described("", "number of the point"))
         for name, cells in study.points.labels.items():
-            if any(name == output.name or name in output.dims for output in experiment.outputs):
-                raise SweepError(f"{name} is a label and the name of a result or its dimension: rename the column")
             texts = np.array(cells, dtype=object if isinstance(cells[0], str) else None)
             coordinates[name] = Variable((POINT,), texts, described("", "label of the point"))
     for dimension, axes in grid.dimensions.items():

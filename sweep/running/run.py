@@ -336,6 +336,7 @@ class Writer:
     ) -> None:
         """Start with an open store whose ledger the accumulator holds; ``further`` attributes go into the dataset."""
         plan = accumulator.plan
+        require_other_labels(plan.grid.study)
         self.accumulator, self.store = accumulator, store
         self.pending = Pending(plan, accumulator)
         self._postponed = postponed
@@ -418,6 +419,7 @@ class Writer:
         The root document says so before the ledger has such rows, so that what is killed in between can go on.
         """
         study = replace(self.plan.grid.study, experiment=experiment)
+        require_other_labels(study)
         dtype = experiment.reducer.dtype
         done = np.flatnonzero(self.accumulator.status == Status.DONE)
         for place, why in lost_integers(self.accumulator.total[done], dtype).items():
@@ -593,6 +595,14 @@ class Writer:
         self.store.fail(point.digest, {"place": place, **vars(failure), **where, "host": host(), "when": now()})
 
 
+def require_other_labels(study: Study) -> None:
+    """Raise SweepError for a label of the points that has the name of a result or its dimension."""
+    outputs = (*study.experiment.outputs, *study.experiment.sample_outputs)
+    for name in study.points.labels if study.points else ():
+        if any(name == output.name or name in output.dims for output in outputs):
+            raise _RefusedError(f"{name} is a label and the name of a result or its dimension: rename the column")
+
+
 def size_of(works: Sequence[Work], points: int) -> PlanSize:
     """Return the counts of works that finish so many points."""
     blocks = sum(len(work.points) for work in works)
@@ -614,7 +624,7 @@ class TooManyFailuresError(SweepError):
 
 
 class _RefusedError(SweepError):
-    """No result of an experiment is to be used, as a worker has found."""
+    """No result of an experiment is to be used, as its first ones show."""
 
 
 class Session:
@@ -690,6 +700,7 @@ class Session:
             wanted = None if wanted is None else wanted | again
         plan = Plan(grid) if whole is grid.study else Plan(Grid(whole, grid.warnings))
         session = cls(plan, where, store, wanted, again)
+        session._is_new |= fresh
         if store is not None and whole is not study:
             session._asked = study
             is_stored = store.attributes.get("study_digest") == whole.digest() and "points" in store.attributes

@@ -182,6 +182,7 @@ def test_what_is_no_label_is_refused_by_name(tmp_path):
     ):
         with pytest.raises(SweepError, match=words):
             run(noisy, tmp_path / "s.zarr", rows, labels)
+        assert not (tmp_path / "s.zarr").exists()
 
 
 @settings(max_examples=max(2, examples(12) // 3))
