@@ -330,7 +330,7 @@ class Parameter:
     @property
     def takes_objects(self) -> bool:
         """Whether its values can be objects of any type."""
-        return self.kind in ("any", "object")
+        return self.kind in ("any", "object") and not self.choices
 
     def written_default(self) -> Any:
         """Return the default as a study writes it."""
@@ -355,7 +355,7 @@ class Parameter:
     def _object(self, raw: Any) -> Any:
         """Return the object with a label that ``raw`` is or names, ``raw`` itself where it is none."""
         is_label = isinstance(raw, dict) and raw.keys() == {LABEL}
-        label = raw[LABEL] if is_label else raw if isinstance(raw, str) and not self.choices else None
+        label = raw[LABEL] if is_label else raw if isinstance(raw, str) else None
         named = next((one for one in self.defined if one.name == label), None)
         if named is None and is_label:
             raise ValueError(
@@ -419,13 +419,14 @@ class Parameter:
 
     def allowed(self) -> str:
         """Return in words what values are allowed."""
+        none = " or None" if self.optional and (self.kind != "any" or self.choices) else ""
         if self.choices:
             further = "" if self.define is None or self.defined else f", or of [define.{self.name}.NAME]"
-            return "one of " + ", ".join(map(repr, self._known())) + further
+            return "one of " + ", ".join(map(repr, self._known())) + further + none
         bounds = {">=": self.minimum, ">": self.above, "<=": self.maximum}
         words = [f"{symbol} {plain([float(bound)])[0]}" for symbol, bound in bounds.items() if bound is not None]
         limits = f" {' and '.join(words)}" if words and self.kind != "bool" else ""
-        return WORDS[self.kind] + limits + (f" [{self.unit}]" if self.unit else "")
+        return WORDS[self.kind] + limits + (f" [{self.unit}]" if self.unit else "") + none
 
 
 @dataclass(frozen=True)
@@ -523,8 +524,10 @@ def parameter_problems(parameter: Parameter) -> Iterator[str]:
     bounds = (parameter.minimum, parameter.above, parameter.maximum)
     if parameter.kind not in WORDS:
         yield f"there is no kind {shown(parameter.kind)}{suggest(str(parameter.kind), get_args(Kind))}"
-    elif not isinstance(parameter.choices, tuple | list):
-        yield f"choices = {shown(parameter.choices)}: must be a tuple"
+    elif not isinstance(parameter.choices, tuple | list) or not all(
+        isinstance(choice, str | int | float) for choice in parameter.choices
+    ):
+        yield f"choices = {shown(parameter.choices)}: must be a tuple of numbers, texts and truth values"
     elif any(bound is not None and not isinstance(bound, int | float) for bound in bounds):
         yield f"minimum, above and maximum must be numbers, not {shown(bounds)}"
     elif text := unit_problem(parameter.unit):

@@ -18,7 +18,7 @@ TYPES: dict[str, Any] = {
     "int": int,
     "str": str,
     "bool": bool,
-    "any": float | str | bool,
+    "any": Any,
     "object": Any,
     "vector": Annotated[list[float], Field(min_length=3, max_length=3)],
     "map": dict[str, str],
@@ -146,10 +146,15 @@ def _ways(parameter: Parameter, ranges: Sequence[Schema], *lists: Schema) -> Sch
 
 
 def _value(parameter: Parameter) -> Schema:
-    schema = _described(parameter) | TypeAdapter(TYPES[parameter.kind]).json_schema()
+    schema: Schema = TypeAdapter(TYPES[parameter.kind]).json_schema()
+    if parameter.kind == "object":
+        schema["not"] = {"type": ["number", "string", "boolean"]}
     bounds = {"minimum": parameter.minimum, "maximum": parameter.maximum, "exclusiveMinimum": parameter.above}
     if parameter.kind in ("float", "int"):
         schema |= {key: bound for key, bound in bounds.items() if bound is not None and math.isfinite(bound)}
     if parameter.choices:
         schema |= {"enum" if parameter.define is None else "examples": list(parameter.choices)}
+    if parameter.optional or parameter.when:
+        schema = {"anyOf": [schema, {"const": "None"}]}
+    schema = _described(parameter) | schema
     return schema if parameter.default is None else schema | {"default": parameter.written_default()}

@@ -7,6 +7,7 @@ import re
 import tomllib
 from decimal import Decimal
 from itertools import product
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -170,3 +171,18 @@ def test_the_schema_refuses_what_a_run_refuses(wrong, link_validator, tmp_path):
     assert not link_validator.is_valid(document)
     with pytest.raises(SweepError):
         run(document, tmp_path / "s.zarr")
+
+
+def kinds(cut: float | None = 1.0, free=None, m: list = [], c: Literal["a"] | None = "a", o: Literal[1, "full"] = 1):  # noqa: B006
+    return 1.0
+
+
+@pytest.mark.parametrize("value", ["'None'", "3", "1", "[1, 2]", "{ a = 1 }", "2026-01-01", "'a'", "'full'", "true"])
+def test_the_schema_takes_what_a_function_takes(value):
+    schema, taken = validator(f"{__file__}:kinds"), {}
+    for name in ("cut", "free", "m", "c", "o"):
+        with contextlib.suppress(SweepError):
+            taken |= load_study(f"{__file__}:kinds", [f"{name}={value}"]).fixed
+        document = {"title": "t", "fixed": {name: tomllib.loads(f"v = {value}")["v"]}}
+        assert schema.is_valid(document) == (name in taken), name
+    assert taken.get("o", 1) in (1, "full")
