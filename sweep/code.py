@@ -362,7 +362,7 @@ class Reach:
         tree = tree_of(file, vars(module))
         acts = [one for one in tree.body if _is_act(one, vars(module))]
         for one in tree.body:
-            steps += self._imports(_at_import(one), vars(module)) + ([name] if one in acts else [])
+            steps += self._imports(_at_import(one)[0], vars(module)) + ([name] if one in acts else [])
         for one in (one for one in acts if isinstance(one, DEFINITIONS)):  # so that a message can name it
             self._code(vars(module)[one.name])
         self._keep(f"module {name}", self._text(acts, vars(module)))
@@ -637,16 +637,23 @@ def _is_act(statement: ast.stmt, names: Names) -> bool:
     calls what may, or defines what a decorator gives to them.  A script goes on after a run: only what it changes of
     modules, and what it has defined, is more than its own affair.
     """
-    nodes = [*_at_import(statement)]
-    changed = [*_changed(nodes)]
-    called = [one for one in nodes if isinstance(one, ast.Expr) and not isinstance(one.value, ast.Constant)]
+    _, definitions, changed, calls = _at_import(statement)
     if names.get("__name__") == "__main__":
         roots = [one for target in changed for one in ast.walk(target) if isinstance(one, ast.Name)]
-        changed, called = [one for one in roots if isinstance(names.get(one.id), ModuleType)], []
-    return bool(changed or called) or any(isinstance(one, DEFINITIONS) and _is_registered(one, names) for one in nodes)
+        changed, calls = [one for one in roots if isinstance(names.get(one.id), ModuleType)], False
+    return bool(changed or calls) or any(_is_registered(one, names) for one in definitions)
 
 
-def _at_import(node: ast.AST) -> Iterator[ast.AST]:
+@lru_cache(maxsize=4096)
+def _at_import(statement: ast.stmt) -> tuple[list[ast.AST], list[Any], list[ast.expr], bool]:
+    """Return what `_nodes_at_import` yields, the definitions in it, what it changes, and whether it calls anything."""
+    nodes = [*_nodes_at_import(statement)]
+    definitions = [one for one in nodes if isinstance(one, DEFINITIONS)]
+    calls = any(isinstance(one, ast.Expr) and not isinstance(one.value, ast.Constant) for one in nodes)
+    return nodes, definitions, [*_changed(nodes)], calls
+
+
+def _nodes_at_import(node: ast.AST) -> Iterator[ast.AST]:
     """Yield what is executed of some code while its module is imported: not the bodies of functions, and not what only
     a script does or a type checker reads.
     """
@@ -656,7 +663,7 @@ def _at_import(node: ast.AST) -> Iterator[ast.AST]:
         if isinstance(node, Function):
             runs = chain(getattr(node, "decorator_list", ()), [node.args])
         for one in runs:
-            yield from _at_import(one)
+            yield from _nodes_at_import(one)
 
 
 def _is_registered(node: Any, names: Names) -> bool:

@@ -1,5 +1,6 @@
 """Studies that the platform's tests share, and `sweep` as a user types it."""
 
+import gc
 import os
 import signal
 import subprocess
@@ -18,6 +19,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # processes of tests would f
 import linksweep
 from linksweep.sweep.cli import main
 from tests.tiers import ALL, PATIENCE_S, QUICK, examples
+
+gc.set_threshold(20_000)  # looking for garbage took a twentieth of the time
+os.fsync = lambda descriptor: None  # no test cuts the power, and waiting for the disk took a tenth
 
 # Memory that is given back to the system after each array and taken again costs more than what is computed in it.
 for _name in ("MALLOC_TRIM_THRESHOLD_", "MALLOC_MMAP_THRESHOLD_"):
@@ -74,6 +78,7 @@ def pytest_collection_modifyitems(config, items):
         items[:] = [item for item in items if not item.get_closest_marker("slow")]
     place = {name: number for number, name in enumerate(FIRST)}
     items.sort(key=lambda item: place.get(item.path.stem, len(FIRST)))
+    gc.freeze()  # what was imported stays
 
 
 @pytest.fixture

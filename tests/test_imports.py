@@ -1,6 +1,7 @@
 """The directions of import are the architecture: this test reads them from the source."""
 
 import ast
+from functools import cache
 from graphlib import TopologicalSorter
 
 from tests.documents import ROOT
@@ -63,7 +64,9 @@ def imported(path):
             yield from (name if name in FILES else file_of(node.module) for name in inner)
 
 
-ARROWS = {name: set(imported(path)) for name, path in FILES.items()}
+@cache  # every process collects this file, and one needs it
+def arrows():
+    return {name: set(imported(path)) for name, path in FILES.items()}
 
 
 def is_in(module, places):
@@ -86,11 +89,11 @@ def is_wrong(name, other):
 
 
 def test_imports_point_down():
-    assert [f"{name} imports {other}" for name in FILES for other in ARROWS[name] if is_wrong(name, other)] == []
+    assert [f"{name} imports {other}" for name in FILES for other in arrows()[name] if is_wrong(name, other)] == []
 
 
 def test_no_import_goes_in_a_circle():
-    graph = {name: others & FILES.keys() for name, others in ARROWS.items()}
+    graph = {name: others & FILES.keys() for name, others in arrows().items()}
     assert set(TopologicalSorter(graph).static_order()) == set(FILES)
 
 

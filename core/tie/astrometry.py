@@ -102,9 +102,9 @@ class Astrometry:
             sigma = np.concatenate([sigma, self.further[1].T], axis=1)
         covariance = np.zeros((len(self), *2 * sigma.shape[1:]))
         covariance[:, range(sigma.shape[1]), range(sigma.shape[1])] = sigma**2
-        correlations = () if self.correlations is None else self.correlations
+        correlations = () if self.correlations is None else np.nan_to_num(self.correlations)
         for correlation, (i, j) in zip(correlations, ALL_PAIRS, strict=False):
-            covariance[:, i, j] = covariance[:, j, i] = np.nan_to_num(correlation) * sigma[:, i] * sigma[:, j]
+            covariance[:, i, j] = covariance[:, j, i] = correlation * sigma[:, i] * sigma[:, j]
         return covariance
 
 
@@ -209,9 +209,10 @@ def propagated(values: Array, radial_velocity: Array | None, epoch: Array, new_e
 @lru_cache(maxsize=4)
 def _earth(epochs: bytes) -> Array:
     """Return the Earth from the barycentre in au, shape (3, N); it takes most of the time of small problems."""
+    years, place = np.unique(np.frombuffer(epochs), return_inverse=True)  # most rows share theirs with others
     # the ufunc itself, because erfa.epv00 warns about epochs before 1900, where it is off by 1e-5 au
-    _, earth, _ = erfa.ufunc.epv00(J2000, (np.frombuffer(epochs) - 2000.0) * DAYS_PER_YEAR)
-    return np.moveaxis(np.asarray(earth["p"]), -1, 0)
+    _, earth, _ = erfa.ufunc.epv00(J2000, (years - 2000.0) * DAYS_PER_YEAR)
+    return np.moveaxis(np.asarray(earth["p"])[place], -1, 0)
 
 
 def parallax_factors(ra: Array, dec: Array, epoch: Array) -> Array:

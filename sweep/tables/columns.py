@@ -96,10 +96,14 @@ def first_found(wanted: Iterable[str], names: Collection[str]) -> str | None:
     """Return the column of the first wanted name that is found, ignoring case and a unit in brackets behind it if need
     be; None if there is none.
     """
-    plain = {BRACKETS.sub(r"\1", name).casefold(): name for name in reversed(list(names))}
-    in_any_case = plain | {name.casefold(): name for name in reversed(list(names))}
-    columns = (name if name in names else in_any_case.get(name.casefold()) for name in wanted)
+    columns = (name if name in names else _in_any_case(tuple(names)).get(name.casefold()) for name in wanted)
     return next((name for name in columns if name is not None), None)
+
+
+@lru_cache(maxsize=8)
+def _in_any_case(names: tuple[str, ...]) -> dict[str, str]:
+    plain = {BRACKETS.sub(r"\1", name).casefold(): name for name in reversed(names)}
+    return plain | {name.casefold(): name for name in reversed(names)}
 
 
 def column_of(quantity: str, names: Collection[str], columns: Mapping[str, str] | None = None) -> str | None:

@@ -2,7 +2,6 @@
 
 # ruff: noqa: F401 (tests import from here what they need from inside)
 import json
-import os
 from contextlib import nullcontext, suppress
 from pathlib import Path
 from unittest.mock import patch
@@ -94,7 +93,6 @@ class Killed(BaseException):
 def dying(monkeypatch, kind=Folder):
     """Let a process die, without a lock, before a change of a file of a store, after ``left[0]`` others."""
     left = [10**9]
-    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
 
     def counted(operation):
         def counting(place, key, *arguments):

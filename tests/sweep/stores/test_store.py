@@ -236,7 +236,6 @@ def test_a_full_disk_keeps_what_was_finished(disk, tmp_path, coins, monkeypatch)
 def test_where_a_file_cannot_be_written_none_counts_as_lost(tmp_path, coins, monkeypatch, is_written, step):
     document = coins | {"axes": {"coins": [1, 5]}, "sampling": {"n_sim": 100, "n_cat": 5, "seed": 7}}
     wanted, put, left = run(document, tmp_path / "wanted.zarr"), Folder.put, [10**9]
-    monkeypatch.setattr(os, "fsync", lambda descriptor: None)
 
     def failing(folder, key, content):
         left[0] -= 1
