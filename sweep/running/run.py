@@ -151,14 +151,14 @@ def with_stored(store: Store, study: Study, only: bool = False) -> tuple[Study, 
     if only:
         return study, study, None
     digests = {key[:DIGEST_BYTES] for key in store.rows} | store.failures.keys()
-    is_whole = attributes.get("complete") and attributes.get(BLOCKS) == len(store.rows)
+    is_complete = bool(attributes.get("complete")) and attributes.get(BLOCKS) == len(store.rows)
     try:
-        whole = united(stored, study, digests, is_whole=bool(is_whole))
+        whole = united(stored, study, digests, is_whole=is_complete or "repaired" in attributes)
     except SweepError as error:
         hint = "; --only (only=True) leaves the earlier points out"
         raise SweepError([f"{one}{'' if '--only' in one else hint}" for one in error.problems], where) from error
-    if whole is study:
-        return study, study, None
+    if whole is study or "repaired" in attributes:  # then what was lost is computed again, whoever asked for it
+        return study, whole, None
     grid = Grid(study)
     wanted = set(grid.digests(grid.indices()))
     # More realisations are for all points, which are not shown without them.
@@ -216,7 +216,7 @@ MAX_FAILURES_NAMED = 1000
 BLOCK = "block"
 
 # Attributes of a store that every later run keeps.
-KEPT = ("merged", "started", REFINED)
+KEPT = ("merged", "started", REFINED, "repaired")
 
 
 def find_store(where: Where, study: Study, keep: bool = False) -> OpenStore | None:
@@ -493,6 +493,8 @@ class Writer:
         status = self.plan.grid.with_repeats(self.accumulator.status)
         points = int(np.count_nonzero(status != Status.EXCLUDED))
         done = int(np.count_nonzero(status == Status.DONE))
+        if not (status == Status.MISSING).any():
+            self._provenance.pop("repaired", None)
         return self._provenance | {
             "finished": now(),
             "points": points,

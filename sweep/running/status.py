@@ -23,7 +23,7 @@ from linksweep.sweep.running.progress import reasons_of
 from linksweep.sweep.stores.integrity import MANIFEST, ROOT, STORE, newest
 from linksweep.sweep.stores.ledger import Record, read_failures, read_keys
 from linksweep.sweep.stores.location import Location, Where, holder, located, reading
-from linksweep.sweep.stores.store import UNFINISHED, OpenStore, find_root, is_new, manifest_of
+from linksweep.sweep.stores.store import CUT_SHORT, UNFINISHED, OpenStore, find_root, is_new, manifest_of
 from linksweep.sweep.studies.record import recorded_study
 from linksweep.sweep.studies.study import LOST, PART, Part, in_ranges
 
@@ -135,9 +135,10 @@ def status_report(store: Where) -> dict[str, Any]:
     study, grid = points.study, points.grid
     blocks = points.blocks(_numbers(ledger.rows.keys_of_rows()).reshape(-1, 4))
     status, realisations, _ = points.progress(opened, blocks, ledger.failures)
-    complete = bool(np.isin(status, (DONE, EXCLUDED)).all())
-    state, why = _state_of(location, status)
-    note = {"note": UNFINISHED} if is_new(opened.root) else {}
+    is_written = ledger.manifest == manifest_of(opened.root)
+    complete = is_written and bool(np.isin(status, (DONE, EXCLUDED)).all())
+    state, why = _state_of(location, status, is_written)
+    note = {"note": UNFINISHED} if is_new(opened.root) else {"note": why} if why == CUT_SHORT else {}
     if points.is_adaptive and not note and not complete:
         note = {"note": "as of the last writing: only the experiment can say how many realisations are needed"}
     random: dict[str, int] = {}
@@ -168,11 +169,13 @@ def status_report(store: Where) -> dict[str, Any]:
     }
 
 
-def _state_of(store: Location, status: NDArray[np.int8]) -> tuple[str, str]:
+def _state_of(store: Location, status: NDArray[np.int8], is_written: bool) -> tuple[str, str]:
     """Return whether a store is "running", "finished" or "stopped" (nobody runs it), and why."""
     if (runs := holder(store)) is not None:
         return "running", str(runs)
-    return ("stopped", "nobody runs it") if (status == MISSING).any() else ("finished", "")
+    if (status == MISSING).any():
+        return "stopped", "nobody runs it"
+    return ("finished", "") if is_written else ("stopped", CUT_SHORT)
 
 
 def _of_parts(store: Location, parts: Sequence[Part]) -> dict[str, Any]:
@@ -224,6 +227,7 @@ class Watched:
         self._failed: dict[bytes, Record] = {}
         self.reasons: list[tuple[int, Record]] = []
         self._places: list[str] = []
+        self._is_written = False
         self._first = self._last = (0.0, 0.0, 0)  # when so much cost was left, and so many points or realisations done
         self.status, self.share = np.zeros(0, dtype=np.int8), np.zeros(0)
 
@@ -239,7 +243,7 @@ class Watched:
             with reading(self.location):
                 self._read()
             if self.opened is not None and self._points is not None:
-                self.state, self.words = _state_of(self.location, self.status)
+                self.state, self.words = _state_of(self.location, self.status, self._is_written)
             else:
                 self.state, self.words = ("waiting", "no store yet") if self.opened is None else ("gone", "removed")
         except SweepError as error:
@@ -282,6 +286,7 @@ class Watched:
         keys = zip(new, read_keys(self.location, new), strict=True)
         known = self._parts | {part.rows.name: points.blocks(one) for part, one in keys}
         self._parts = {part.rows.name: known[part.rows.name] for part in manifest.parts}
+        self._is_written = manifest == manifest_of(opened.root)
         blocks = np.hstack([np.zeros((2, 0), dtype=np.int64), *self._parts.values()])
         self.status, realisations, self.share = points.progress(opened, blocks, self._failed)
         left = float((points.cost * (1.0 - self.share))[self.status == MISSING].sum())

@@ -346,6 +346,7 @@ class Attributes(_Part):
     points: Count = 0
     points_done: Count = 0
     blocks: Count = 0
+    repaired: Literal[0, 1] = 0
     error_convention: Count = 0
     common_random_numbers: Literal[0, 1] = 0
 

@@ -79,7 +79,9 @@ UNFINISHED = (
     "is unfinished: its run has just begun, or ended before it wrote results; nothing is damaged, "
     "and the same `sweep run` goes on"
 )
-CUT_SHORT = "is unfinished: its results are older than its ledger; nothing is damaged, and the same `sweep run` goes on"
+CUT_SHORT = (
+    "is unfinished: its results are older than its ledger; nothing is damaged, and the same `sweep run` writes them"
+)
 
 
 class OpenStore:
@@ -397,7 +399,9 @@ def read_root(location: Location) -> dict[str, Any]:
     root = find_root(location)
     if root is None:
         hint, path = "", location.path if isinstance(location, Folder) else None
-        if path is not None and path.with_suffix(".zarr").exists():
+        if path is not None and path.is_dir():
+            hint = ": the folder is empty; no run has begun in it, or its files are gone"
+        elif path is not None and path.with_suffix(".zarr").exists():
             hint = f"; did you mean '{path.stem}.zarr'?"
         elif path is not None and (RESULTS / f"{path.stem}.zarr").exists():
             hint = f"; did you mean '{RESULTS / path.stem}.zarr'?"
@@ -705,10 +709,13 @@ def repair(where: Where, *, break_lock: bool = False) -> list[str]:
             if (content := location.get(file)) is not None:
                 location.parent.put(f"{location.name}.damaged/{file}", content)
         damaged = dict(report.ledger)
-        for file in report.identity.keys() - {ROOT}:
-            ledger.put("study", copied(attributes))
-            done.append(f"{file}, the copy of {ROOT}, was made anew")
+        if damaged:
+            attributes = {**attributes, "repaired": 1}
+            if ROOT not in report.identity:  # before the ledger forgets that something was there
+                location.put(ROOT, integrity.sealed({**read_root(location), "attributes": attributes}, ROOT))
         if report.identity or damaged:
+            ledger.put("study", copied(attributes))
+            done += [f"{file}, the copy of {ROOT}, was made anew" for file in report.identity.keys() - {ROOT}]
             done += [f"{file}: the next `sweep run` computes again what was in it" for file in damaged]
             ledger.mend(damaged)
             ledger.tidy()

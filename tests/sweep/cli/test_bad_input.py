@@ -320,9 +320,10 @@ def test_places_where_no_store_is_or_can_be(here, monkeypatch):
         check_refused(here, (command, "n" * 300), "nnn")
     for path in ("loop.zarr", "moved.zarr"):
         (here / path).symlink_to(path.replace("moved", "away"))
-    moved = "moved.zarr: is a link to away.zarr, which is not there"
-    check_refused(here, ("show", "moved.zarr"), moved)
     (here / "closed").mkdir(mode=0o500)
+    moved = "moved.zarr: is a link to away.zarr, which is not there"
+    for path, said in (("moved.zarr", moved), ("closed", "closed: no store there: the folder is empty")):
+        check_refused(here, ("show", path), said)
     monkeypatch.setattr(os, "access", lambda path, mode: Path(path).name != "closed")  # root may write anywhere
     places = [("plan", "n" * 300, "nnn"), ("plan", f"{'n' * 300}/s.zarr", "nnn"), ("run", "loop.zarr", "loop.zarr")]
     places += [("run", "moved.zarr", moved), ("plan", "moved.zarr", moved)]
