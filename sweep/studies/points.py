@@ -541,7 +541,7 @@ def _apart(columns: Cells, form: PointsForm, values: Values) -> tuple[Cells, dic
 
 
 def labels_of(cells: Sequence[Any]) -> list[Any]:
-    """Return the cells of a column as labels: numbers, or truth values, of one type as they are, all else as texts.
+    """Return the cells of a column as labels: numbers, floats if one has a fraction, truth values, all else as texts.
 
     A missing label is NaN among numbers with a fraction, else an empty text.
 
@@ -550,8 +550,10 @@ def labels_of(cells: Sequence[Any]) -> list[Any]:
     """
     cells = [cell.decode() if isinstance(cell, bytes) else None if cell != cell else cell for cell in cells]  # noqa: PLR0124
     kinds = {type(cell) for cell in cells}
-    if kinds in ({float}, {float, type(None)}):
-        return [math.nan if cell is None else cell for cell in cells]
+    if float in kinds <= {float, int, type(None)} and all(
+        type(cell) is not int or abs(cell) <= 2**53 for cell in cells
+    ):
+        return [math.nan if cell is None else float(cell) for cell in cells]
     if kinds == {bool} or (kinds == {int} and all(-(2**63) <= cell < 2**63 for cell in cells)):
         return cells
     return ["" if cell is None else str(cell) for cell in cells]
@@ -561,21 +563,29 @@ def _in_file(form: PointsForm, values: Values) -> tuple[Cells, dict[str, str]]:
     path = values.folder / str(form.file)
     table = read_table(path)
     columns, units = columns_of({name: table[name] for name in table.colnames})
-    known = {parameter.name: parameter.kind for parameter in values.experiment.parameters}
-    kinds = {name: known.get(name, known.get(BRACKETS.sub(r"\1", name), "any")) for name in columns}  # any: labels
-    columns = {name: _read_cells(cells, kinds[name]) for name, cells in columns.items()}
+    known = {parameter.name: parameter for parameter in values.experiment.parameters}
+    ours = {name: known.get(name, known.get(BRACKETS.sub(r"\1", name), Parameter(name))) for name in columns}
+    columns = {name: _read_cells(cells, ours[name].kind) for name, cells in columns.items()}
     doubtful = [
         name
-        for name, kind in kinds.items()
-        if kind in ("any", "str") and not all(isinstance(cell, str | None) for cell in columns[name])
+        for name, one in ours.items()
+        if one.kind in ("any", "str") and not all(isinstance(cell, str) for cell in columns[name])
     ]
     written, _ = columns_of(read_table(path, texts=doubtful)) if doubtful else ({}, {})
-    for name in doubtful:  # 0071 is a name, and not the number 71
-        if kinds[name] == "str" or any(re.fullmatch(r"0\d+", str(cell)) for cell in written[name]):
-            columns[name] = written[name]
+    for name in doubtful:  # 0071 is a name, and not the number 71; and "none" is a value where the choices have it
+        one, pairs = ours[name], list(zip(columns[name], written[name], strict=True))
+        texts = [None if cell is None and text not in one.choices else text for cell, text in pairs]
+        words = {shown(word) for text, (_, word) in zip(texts, pairs, strict=True) if text is None and word}
+        if words and one.kind == "str" and not (one.choices or one.optional or one.when):
+            instead = f"a value that is this text is given in points.columns (in Python points={{{name!r}: [...]}})"
+            raise ValueError(f"{name}: {', '.join(sorted(words))} in a file stands for a missing value; {instead}")
+        if one.kind == "str" or any(re.fullmatch(r"0\d+", str(text)) for text in texts):
+            columns[name] = texts
         else:  # an integer stays one when a row with a fraction is appended
-            pairs = zip(columns[name], written[name], strict=True)
-            columns[name] = [int(text) if re.fullmatch(r"[+-]?\d+", str(text)) else cell for cell, text in pairs]
+            columns[name] = [
+                int(str(text)) if re.fullmatch(r"[+-]?\d+", str(text)) else text if cell is None else cell
+                for text, cell in zip(texts, columns[name], strict=True)
+            ]
     return columns, units
 
 

@@ -73,8 +73,8 @@ def read_table(path: Path, texts: Collection[str] = ()) -> Any:
 
     Missing values are masked, or NaN.  The format follows from the content, not from the name.  RAdeg and DEdeg (deg)
     are added to a table with the columns RAh, RAm, RAs and DE-, DEd, DEm, DEs of CDS.  Columns of delimited text that
-    ``texts`` names are texts, also where they could be numbers.  Raises SweepError that names the file, and the row
-    where there is one, for what cannot be read.
+    ``texts`` names are texts as they are written, missing where there is none.  Raises SweepError that names the file,
+    and the row where there is one, for what cannot be read.
     """
     try:
         content = path.read_bytes()
@@ -266,7 +266,7 @@ def _rows(body: bytes, names: Sequence[str], delimiter: str, texts: Collection[s
             names=list(range(len(names))),
             index_col=False,
             skipinitialspace=True,
-            na_values=list(MISSING),
+            na_values={k: [""] if name in texts else list(MISSING) for k, name in enumerate(names)},
             keep_default_na=False,
             float_precision="round_trip",
             decimal="," if decimal_commas else ".",

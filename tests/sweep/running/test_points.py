@@ -159,12 +159,14 @@ def test_a_name_of_digits_in_a_file_stays_what_is_written(tmp_path):
     def of_any(name, x: float = 1.0):
         return {"name_back": str(name)}
 
-    (tmp_path / "t.csv").write_text("name,x,hip,field\n0071,1,7,007\n12,2,8,\n")
+    (tmp_path / "t.csv").write_text("name,x,hip,field,mag\n0071,1,7,007,1\n12,2,8,,2.5\n")
     for k, function in enumerate((of_text, of_any)):
-        ds = run(function, tmp_path / f"{k}.zarr", str(tmp_path / "t.csv"), ["hip", "field"])
+        ds = run(function, tmp_path / f"{k}.zarr", str(tmp_path / "t.csv"), ["hip", "field", "mag"])
         assert ds.name.values.tolist() == ds.name_back.values.tolist() == ["0071", "12"]
-        assert ds.hip.values.tolist() == [7, 8]
-        assert ds.field.values.tolist() == ["007", ""]
+        assert [ds[name].values.tolist() for name in ("hip", "field", "mag")] == [[7, 8], ["007", ""], [1.0, 2.5]]
+    (tmp_path / "t.csv").write_text("name\nNA\n")
+    with pytest.raises(SweepError, match="'NA' in a file stands for a missing value"):
+        run(of_text, tmp_path / "0.zarr", str(tmp_path / "t.csv"))
 
 
 def test_what_is_no_label_is_refused_by_name(tmp_path):

@@ -17,7 +17,7 @@ from tests.tiers import slow
 
 Beta = Annotated[float, Parameter("rate", unit="1/d", above=0)]
 Distance = Annotated[float, Parameter("distance", unit="m")]
-COLUMNS = {"beta": [0.5, 0.25, 0.5], "k": [1, 3, 1], "solver": ["a", "b", "a"]}
+COLUMNS = {"beta": [0.5, 0.25, 0.5], "k": [1, 3, 1], "solver": ["a", "none", "a"]}
 FRAME = pd.DataFrame(COLUMNS)
 RANGES = {"beta": {"low": 0.01, "high": 1.0, "spacing": "log"}, "k": {"low": 1, "high": 9, "spacing": "log"}}
 GROWS = {"sobol": True, "latin-hypercube": False, "halton": True, "random": True, "saltelli": True, "morris": True}
@@ -38,7 +38,7 @@ crossed = lambda row: {"solver": "ab"[row["k"]]}
 
 
 @experiment()
-def f(beta: Beta = 0.3, k: int = 2, solver: Literal["a", "b"] = "a"):
+def f(beta: Beta = 0.3, k: int = 2, solver: Literal["a", "b", "none"] = "a"):
     return beta * k
 
 
