@@ -43,9 +43,6 @@ POOL_HELP = (
 )
 WITH_WORKERS = [name for name, pool in POOLS.items() if pool.has_workers]
 
-MEMORY_AT_LEAST = 200 * 10**6
-"""Bytes that a worker needs for itself."""
-
 DECIDING = ("linksweep", "python", "numpy", "scipy")
 """Programs that `sweep status` names in a terminal: numbers may depend on their versions."""
 
@@ -62,13 +59,9 @@ def _bytes(text: str) -> int:
     from dask.utils import parse_bytes
 
     try:
-        number = int(parse_bytes(text))
-    except ValueError:
-        number = 0
-    if number < MEMORY_AT_LEAST:
-        least = f"at least the {MEMORY_AT_LEAST // 10**6} MB that a worker needs itself"
-        raise ValueError(f"{text!r} is no number of bytes like 2GB or 500MiB, {least}")
-    return number
+        return int(parse_bytes(text))
+    except (ValueError, OverflowError) as error:
+        raise ValueError(f"{text!r} is no number of bytes like 2GB or 500MiB") from error
 
 
 def resources(
@@ -586,7 +579,8 @@ def merge(
 
 
 # `afterany`: a part in which points fail ends with exit code 1.  A lock that is left over on another host is that of
-# an earlier try: SLURM runs a task once at a time.
+# an earlier try: SLURM runs a task once at a time.  The last of several options counts for sbatch: --array and
+# --dependency of the user are for the parts.
 SCRIPT = """\
 #!/bin/sh
 # Submits {name} as a job array of {total} parts, and a job that merges them when all have ended.
@@ -596,7 +590,7 @@ array=$(sbatch --parsable --array=1-{total} --output={logs}/%A_%a.log {options} 
 exec {run} --part "$SLURM_ARRAY_TASK_ID/{total}" --workers "${{SLURM_CPUS_PER_TASK:-1}}" --break-lock
 END_OF_JOB
 )
-sbatch --dependency="afterany:${{array%%;*}}" --output={logs}/merge-%j.log {options} <<'END_OF_JOB'
+sbatch --output={logs}/merge-%j.log {options} --array=1 --dependency="afterany:${{array%%;*}}" <<'END_OF_JOB'
 #!/bin/bash
 exec {merge} -o {store} {parts}
 END_OF_JOB
@@ -607,7 +601,7 @@ END_OF_JOB
 def submit(
     asked: cli.AskedStudy = cli.group(cli.AskedStudy),
     tasks: int = opt("Tasks of the array, a part in each.", "--slurm", type=click.IntRange(1, 100_000), required=True),
-    more: Sequence[str] = many("For sbatch, for all jobs, e.g. --time=2:00:00.", "--sbatch", metavar="OPTION"),
+    more: Sequence[str] = many("For sbatch, e.g. --time=2:00:00 or --array=1-99%9.", "--sbatch", metavar="OPTION"),
     go: bool = flag("Submit it, too."),
 ) -> None:
     """Write STORE.slurm/submit.sh, which submits STUDY as a job array of SLURM, with a part of it in each task, and a

@@ -18,6 +18,9 @@ PoolName = Literal["processes", "threads", "serial"]
 
 MOST_WORKERS = 4096
 
+MEMORY_AT_LEAST = 200 * 10**6
+"""Bytes that a worker needs for itself."""
+
 
 class Pool(NamedTuple):
     """A pool in words, the function that opens it as ``module:name``, and whether it has workers."""
@@ -94,12 +97,12 @@ class Resources:
     client: "Client | None" = None
 
     def __post_init__(self) -> None:
-        """Raise SweepError for a pool, a number of workers, a dashboard or a client that cannot be, and for several
-        places to run on.
+        """Raise SweepError for a pool, a number of workers, limits, a dashboard or a client that cannot be, and for
+        several places to run on.
         """
         is_number = self.workers is None or (type(self.workers) is int and 1 <= self.workers <= MOST_WORKERS)
         elsewhere = [name for name in ("client", "scheduler", "cluster") if getattr(self, name) is not None]
-        if is_number and self.pool in (None, *POOLS) and not self.dashboard and not elsewhere:
+        if is_number and self.pool in (None, *POOLS) and self.limits == NO_LIMITS and not (self.dashboard or elsewhere):
             return
         # Imported here, since it imports NumPy, and the help of a command needs only the names of pools.
         from linksweep.sweep.contract import SweepError, shown, suggest
@@ -108,7 +111,15 @@ class Resources:
             raise SweepError(f"workers = {shown(self.workers)}: must be an integer from 1 to {MOST_WORKERS}")
         if self.pool not in (None, *POOLS):
             raise SweepError(f"no pool {shown(self.pool)}{suggest(str(self.pool), list(POOLS))}")
-        here = {"workers": self.workers, "pool": self.pool, "memory": self.limits.memory, "dashboard": self.dashboard}
+        if not isinstance(self.limits, Limits):
+            raise SweepError(f"limits = {shown(self.limits)}: must be linksweep.Limits(time_s, memory)")
+        time_s, memory = self.limits.time_s, self.limits.memory
+        if time_s is not None and not (isinstance(time_s, int | float) and 0.0 < time_s <= 1e9):
+            raise SweepError(f"time_s = {shown(time_s)}: must be seconds, more than 0, up to 1e9; None is no limit")
+        if memory is not None and not (type(memory) is int and memory >= MEMORY_AT_LEAST):
+            least = f"at least the {MEMORY_AT_LEAST // 10**6} MB that a worker needs itself"
+            raise SweepError(f"memory = {shown(memory)}: must be an integer of bytes, {least}; None is no limit")
+        here = {"workers": self.workers, "pool": self.pool, "memory": memory, "dashboard": self.dashboard}
         local = [name for name, value in here.items() if value not in (None, False)]
         if elsewhere and (local or len(elsewhere) > 1):
             raise SweepError(f"{', '.join([*local, *elsewhere])}: these are of different places to run on; name one")
