@@ -103,9 +103,11 @@ def merge(places: Sequence[Where], into: Where, *, accept_code: bool = False, tr
 
 
 def require_free(place: Location, study: Study, about: Sequence[Mapping[str, Any]]) -> None:
-    """Raise SweepError unless the place is free, or has what a merge of the same stores that was killed has left, or of
-    parts of the same study.
+    """Raise SweepError for the place of a part, and unless the place is free, or has what a merge of the same stores
+    that was killed has left, or of parts of the same study.
     """
+    if Part.named(place):
+        raise SweepError("is the place of a part; give another one with -o", str(place))
     opened = run.find_store(place, study)
     if opened is None:
         return
@@ -120,12 +122,14 @@ def _sources(places: Sequence[Where], trust: bool) -> list[_Source]:
     """Return what is there of the stores, parts in their order."""
     sources: list[_Source] = []
     studies: dict[tuple[Any, ...], tuple[Study, Layout | None]] = {}
+    why = "no store there; name those to merge, as in S.part-*"
     for location in (located(one) for place in places for one in Part.places(place)):
         opened = store_at(location)
         if (runs := holder(location)) is not None:
             if opened is None or PART not in opened.attributes:
                 raise SweepError(f"is being written by {runs}; merge it when that has ended", str(location))
             log.warning("%s is being written by %s; it is left out", location, runs)
+            why = "nothing can be merged yet"
             continue
         if opened is None and Part.named(location):
             continue  # it is named when the others are merged
@@ -142,10 +146,7 @@ def _sources(places: Sequence[Where], trust: bool) -> list[_Source]:
         keys = tuple(ledger.rows)
         sources.append(_Source(location, kept, replace(study, part=part), layout, ledger.dtype, keys, ledger.failures))
     if not sources:
-        raise SweepError(
-            "no store there; name those to merge, as in S.part-*",
-            f"{places[0]}{f' and {len(places) - 1:,} more' if places[1:] else ''}",
-        )
+        raise SweepError(why, f"{places[0]}{f' and {len(places) - 1:,} more' if places[1:] else ''}")
     # Of stores that are no parts first one whose experiment has the parameters of all.
     return sorted(sources, key=lambda one: (one.study.part or Part(0, 0), -len(one.study.experiment.parameters)))
 

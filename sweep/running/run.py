@@ -235,7 +235,8 @@ def find_store(where: Where, study: Study, keep: bool = False) -> OpenStore | No
     elif study.part and opened.attributes["study_digest"] != study.digest():
         different.append(f"part: {asked} of other points or realisations in the store than in the study")
     if different:
-        ways = "" if keep else ", or --keep (keep=True), with which constants that differ become axes"
+        no_use = study.part or before != asked or study_differences(opened.attributes, study, keep=True)
+        ways = "" if no_use else ", or --keep (keep=True), with which constants that differ become axes"
         words = f"holds results of a different study, which would be mixed up; give another store with -o{ways}"
         raise SweepError([words, *different], str(opened.location))
     return opened

@@ -23,7 +23,7 @@ from linksweep.sweep.running.progress import reasons_of
 from linksweep.sweep.stores.integrity import MANIFEST, ROOT, STORE, newest
 from linksweep.sweep.stores.ledger import Record, read_failures, read_keys
 from linksweep.sweep.stores.location import Location, Where, holder, located, reading
-from linksweep.sweep.stores.store import CUT_SHORT, UNFINISHED, OpenStore, find_root, is_new, manifest_of
+from linksweep.sweep.stores.store import CUT_SHORT, UNFINISHED, OpenStore, find_root, is_new, manifest_of, store_at
 from linksweep.sweep.studies.record import recorded_study
 from linksweep.sweep.studies.study import LOST, PART, Part, in_ranges
 
@@ -125,8 +125,8 @@ def status_report(store: Where) -> dict[str, Any]:
     """
     location = located(store)
     with reading(location):
-        named = {Part.named(name): name for name in location.beside()} if location.is_free() else {}
-    parts = sorted(part for part, name in named.items() if part and name == part.place(location.name))
+        names = location.beside() if location.is_free() else []
+    parts = sorted(part for name in names if (part := Part.named(name)) and name == part.place(location.name))
     if parts:
         return _of_parts(location, parts)
     opened = OpenStore(location)
@@ -180,15 +180,21 @@ def _state_of(store: Location, status: NDArray[np.int8], is_written: bool) -> tu
 
 def _of_parts(store: Location, parts: Sequence[Part]) -> dict[str, Any]:
     """Return how far the parts of a store are, by how many there are, and which are lost: not there, or neither
-    finished nor running.
+    finished nor running.  A part of another study than the first one is named as such: they cannot be merged.
     """
     report: dict[str, Any] = {"title": f"{store} is not merged yet; its parts:", "parts": {}}
     for total, some in groupby(parts, key=lambda part: part.total):
-        states: dict[str, list[int]] = {"complete": [], "failed": [], "running": []}
+        states: dict[str, list[int]] = {"complete": [], "failed": [], "running": [], "of another study": []}
+        digests: list[str] = []
         for part in some:
-            attributes = OpenStore(part.place(store)).attributes
+            if (opened := store_at(part.place(store))) is None:
+                continue  # it was killed as it began
+            attributes = opened.attributes
+            digests.append(attributes["study_digest"])
             ended = "complete" if attributes.get("failures", "{}") == "{}" else "failed"
-            if (runs := holder(part.place(store))) or attributes["complete"]:
+            if digests[-1] != digests[0]:
+                states["of another study"].append(part.number)
+            elif (runs := holder(part.place(store))) or attributes["complete"]:
                 states["running" if runs else ended].append(part.number)
         states["lost"] = sorted({*range(1, total + 1)}.difference(*states.values()))
         report["parts"][total] = {state: in_ranges(numbers) for state, numbers in states.items() if numbers}
