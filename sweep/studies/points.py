@@ -130,6 +130,7 @@ class Values:
         """Return the value at a place, None if it is wrong; problems begin with ``which``."""
         with self.problems.at(place, which):
             parameter = self._parameter(name)
+            refuse_quantity(raw, parameter)
             is_plain = type(raw) in PLAIN_TYPES or (isinstance(raw, dict) and raw.keys() == {LABEL})
             is_object = parameter.takes_objects and not is_plain
             value = parameter.parse(labelled(raw) if is_object else raw)
@@ -163,6 +164,8 @@ class Values:
             parameter = self._parameter(name)
             if not parameter.may_be_axis:
                 raise ValueError(f"a {parameter.kind} cannot be an axis")
+            for one in spec.values() if isinstance(spec, dict) else [spec]:
+                refuse_quantity(one, parameter)
             if not (raw_values := axis_values(spec, whole=parameter.kind == "int")):
                 raise ValueError("an axis needs at least one value")
             values = self.several(place, name, raw_values)
@@ -200,6 +203,16 @@ class Values:
         for value in values:
             if known.setdefault(str(value), value) != value:
                 raise ValueError(f"two values have the label {shown(str(value))}: give each its own")
+
+
+def refuse_quantity(value: Any, parameter: Parameter) -> None:
+    """Raise ValueError for a quantity of astropy, with how it becomes numbers in the unit of a parameter if it can."""
+    if type(value) not in PLAIN_TYPES and is_quantity(value):
+        theirs, unit = str(value.unit), parameter.unit
+        words = f", and the parameter {f'is in {unit}' if unit else 'has no unit'}"
+        if factor_between(theirs, unit) is not None:
+            words = f"; give numbers in the unit of the parameter, .to_value({unit!r})"
+        raise ValueError(f"is a quantity in {theirs or 'no unit'}{words}")
 
 
 def numbers_like(known: Iterable[Value], values: Iterable[Value]) -> tuple[Value, ...]:
@@ -716,6 +729,8 @@ def labelled(value: Any, label: str = "") -> Named:
 
 def plain_values(values: Any, where: str) -> Any:
     """Return the values of an axis or a column as a study has them: numbers and texts, and others as objects."""
+    if is_quantity(values):  # refused where the unit of its parameter is known
+        return values
     if isinstance(values, Mapping):
         if values.keys() & {"start", "values"}:
             return {key: plain_values(one, f"{where}.{key}") for key, one in values.items()}
@@ -723,16 +738,16 @@ def plain_values(values: Any, where: str) -> Any:
     if getattr(values, "ndim", 1) > 1:
         values = list(np.asanyarray(values))  # each an object
     kind = getattr(getattr(values, "dtype", None), "kind", "O")
-    if kind in PLAIN or isinstance(values, str | bytes | set | frozenset | Iterator | range) or is_quantity(values):
+    if kind in PLAIN or isinstance(values, str | bytes | set | frozenset | Iterator | range):
         return plain(values, where)
     return [plain_value(one, where) for one in values] if isinstance(values, Iterable) else values
 
 
 def plain_value(value: Any, where: str, label: str = "") -> Any:
     """Return a value as a study has it, as `plain_values`; without a ``label`` lists and tables stay as they are."""
-    if not label and (type(value) in PLAIN_TYPES or isinstance(value, (list, tuple, Mapping))):
+    if not label and (type(value) in PLAIN_TYPES or isinstance(value, (list, tuple, Mapping)) or is_quantity(value)):
         return value
-    if not label and ((isinstance(value, np.generic) and value.dtype.kind in PLAIN) or is_quantity(value)):
+    if not label and isinstance(value, np.generic) and value.dtype.kind in PLAIN:
         return plain(value, where)
     try:
         return labelled(value, label)
@@ -743,13 +758,12 @@ def plain_value(value: Any, where: str, label: str = "") -> Any:
 def plain(value: Any, where: str) -> Any:
     """Return a value as TOML would give it: lists for arrays, ranges, tuples and indexes, Python's own numbers.
 
-    Raises SweepError that names the place for a quantity of astropy: the unit to convert it to is not known here.
+    Raises SweepError that names the place for a quantity of astropy where there is no parameter with a unit.
     """
     if isinstance(value, Mapping):
         return {str(key): plain(item, f"{where}.{key}") for key, item in value.items()}
     if is_quantity(value):
-        here = f"is a quantity in {str(value.unit) or 'no unit'}; give numbers in the unit of the parameter"
-        raise SweepError(f"{where}: {here}, .to_value({str(value.unit)!r})")
+        raise SweepError(f"{where}: is a quantity in {str(value.unit) or 'no unit'}; give numbers")
     if isinstance(value, np.generic):
         return value.item()
     if hasattr(value, "tolist"):  # arrays of NumPy, pandas and xarray

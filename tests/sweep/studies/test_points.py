@@ -108,14 +108,15 @@ WRONG = [
     ({"columns": {"k": [1]}, "design": "sobol"}, "exactly one of file, design and columns"),
 ]
 LONG = 86.85482395804122
-ELSEWHERE = "is a quantity in km; give numbers in the unit of the parameter, .to_value('km')"
+ELSEWHERE = "is a quantity in km; give numbers in the unit of the parameter, .to_value('m')"
 DISTANCES = QTable({"distance": Masked([1.0, 2.0] * u.km, mask=[False, True])})
 pointed = experiment()(lambda point=1.0, k=1: point * k)
 ALL_WRONG = [
     *((f, {"points": points}, problem) for points, problem in WRONG),
     (far, {"axes": {"distance": [1.0, 2.0] * u.km}}, f"axes.distance: {ELSEWHERE}"),
     (far, {"fixed": {"distance": 3.0 * u.km}}, f"fixed.distance: {ELSEWHERE}"),
-    (far, {"points": {"distance": [1.0 * u.km, 2.0 * u.km]}}, f"points.distance: {ELSEWHERE}"),
+    (far, {"points": {"distance": [1.0 * u.km]}}, f"points.columns.distance: row 1: {ELSEWHERE}"),
+    (far, {"axes": {"distance": [1.0] * u.s}}, "axes.distance: is a quantity in s, and the parameter is in m"),
     (far, {"points": DISTANCES}, "points.columns.distance: has no value in row 2"),
     (far, {"points": {"columns": {"distance [cm]": [1.0]}, "units": {"distance": "m"}}}, "is in cm, and not in m"),
     # which parameters a wrong table has is not known: those without a default are not asked for
