@@ -40,6 +40,7 @@ for _number, _handler in ((signal.SIGINT, signal.default_int_handler), (signal.S
         signal.signal(_number, _handler)
 
 FIRST = ("test_paper", "test_interrupt", "test_faults", "test_docs", "test_slurm", "test_study_fuzz", "test_benchmarks")
+FIRST += ("test_code", "test_objects", "test_mistakes", "test_apply", "test_forecast")
 """Files that take longest: a process that got one of them at the end would keep the others waiting."""
 
 COINS = str(Path(__file__).parent / "sweep" / "coins.py") + ":experiment"

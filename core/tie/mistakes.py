@@ -279,22 +279,32 @@ def _deficit(problem: Problem, groups: Sequence[_Group]) -> str:
     and that of all next to its expectation.
     """
     causes: dict[float, Cause] = {}  # the same errors may have several names
+    levels: dict[Any, dict[str, float]] = {}  # and so may the same rows
     for (factor, unit), group in product(LARGER.items(), groups):
         names = {group.words.removeprefix("the ").partition(" of ")[0]: group.rows} | WITH_ERRORS
         wholes = [part for part in _wholes(problem) if part.table in ("satellite", group.part.table)]
         for (name, rows), part in product(names.items(), (group.part, *wholes[::-1])):
-            if (trial := _applied(problem, part, _scaled(rows, factor, errors=True))) is None:
-                continue
-            try:
-                solution = solve(source_sums(trial))
-            except LinkError:
-                continue
-            level = {one.words: one.squares / one.expected for one in _groups(trial, solution)}
-            if 0.1 < level[group.words] < EXCESS:
-                ratio = max(level[group.words], solution.scale**2, key=lambda one: abs(np.log(one)))
+            change = factor, rows, part.table, part.at.tobytes()
+            level = levels[change] if change in levels else _levels(problem, part, _scaled(rows, factor, errors=True))
+            levels[change] = level
+            if level and 0.1 < level[group.words] < EXCESS:
+                ratio = max(level[group.words], level[""], key=lambda one: abs(np.log(one)))
                 cause = Cause(f"errors of {name} of {part.words} too large, {unit}", ratio, HIDES_ALL)
                 causes.setdefault(round(ratio, 9), cause)
     return likely(list(causes.values()), _alike_within(problem)) if causes else ""
+
+
+def _levels(problem: Problem, part: _Part, change: Change) -> dict[str, float]:
+    """Return chi2 over its expectation with a part changed, of each group and under '' of all; nothing where that
+    changes nothing or has no solution.
+    """
+    if (trial := _applied(problem, part, change)) is None:
+        return {}
+    try:
+        solution = solve(source_sums(trial))
+    except LinkError:
+        return {}
+    return {one.words: one.squares / one.expected for one in _groups(trial, solution)} | {"": solution.scale**2}
 
 
 def _alike_within(problem: Problem) -> float:

@@ -110,10 +110,10 @@ def test_a_worker_with_another_version_stops_the_run(start, link_study, tmp_path
     info = tmp_path / "shim" / "numpy-0.0.9.dist-info"
     info.mkdir(parents=True)
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: numpy\nVersion: 0.0.9\n")
-    outside.start_worker()
+    outside.start_worker("--no-nanny")
     if later:
         process = start("--scheduler", outside.address)
-    outside.start_worker(PYTHONPATH=str(tmp_path / "shim"))
+    outside.start_worker("--no-nanny", PYTHONPATH=str(tmp_path / "shim"))
     if not later:
         outside.wait_for_workers(2)
         process = start("--scheduler", outside.address, waits=False)
@@ -135,7 +135,7 @@ def test_a_worker_whose_module_has_another_value_stops_the_run(
         (tmp_path / folder / "helper.py").write_text(f"import time\nFACTOR, NOW = {value}, time.time()\n")
     (tmp_path / "m.py").write_text("import helper\ndef f(x):\n    return helper.FACTOR * x + 0 * (helper.NOW > 0)\n")
     monkeypatch.setenv("PYTHONPATH", str(tmp_path / "here"))
-    outside.start_worker(PYTHONPATH=str(tmp_path / "there"))
+    outside.start_worker("--no-nanny", PYTHONPATH=str(tmp_path / "there"))
     run = ("run", "m.py:f", "--axis", "x=1,2", "-o", "s.zarr", "--scheduler", outside.address)
     err = to_its_end(start_sweep(*run, cwd=tmp_path), expected)
     assert ("tcp://" in err and "value helper.FACTOR is 2.0 here, 3.0 there" in err) == (expected == 2), err
