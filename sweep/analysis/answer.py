@@ -153,15 +153,16 @@ def _range(part: xr.Dataset, array: xr.DataArray, errors: Array, unit: str) -> s
     known = np.flatnonzero(np.isfinite(values.astype(float, copy=False)))
     low, high = (known[end(values[known])] for end in (np.argmin, np.argmax))
     number = [formatting.with_unit(values[flat].item(), float(sigmas[flat]), unit) for flat in (low, high)]
+    doubt = ("", "; one of the errors is not known", "; errors are not known")[np.isnan(sigmas[[low, high]]).sum()]
     if values.size == 1:
-        return f"It is {number[0]}."
+        return f"It is {number[0]}{doubt}."
     indices = (map(int, np.unravel_index(flat, array.shape)) for flat in (low, high))
     places = [quantity.place_at(part, dict(zip(map(str, array.dims), i, strict=True))) for i in indices]
     least, largest = (quantity.place_in_words(place, part) for place in places)
     points = formatting.counted(len(known), "point" if len(array.dims) == len(part["status"].dims) else "value")
     if values[low] == values[high]:
-        return f"It is {number[0]} at {points if len(known) > 1 else least}."
-    return f"It is between {number[0]} ({least}) and {number[1]} ({largest}), over {points}."
+        return f"It is {number[0]} at {points if len(known) > 1 else least}{doubt}."
+    return f"It is between {number[0]} ({least}) and {number[1]} ({largest}), over {points}{doubt}."
 
 
 def _what_changes_it(axes: list[str], values: Array, unit: str) -> Iterator[str]:

@@ -24,11 +24,21 @@ from linksweep.sweep.analysis import quantity
 from linksweep.sweep.analysis.tables import STEP, derived
 from linksweep.sweep.contract import FEW, SweepError, factor_between, rescaled, shown, unit_problem
 from linksweep.sweep.contract.rows import FEWEST_SAMPLES, LENGTH, Array, Status, p_value, small_sample_factor
-from linksweep.sweep.formatting import LOGARITHMIC_UNITS, RAGGED, described, plain, units_of, with_error, with_unit
+from linksweep.sweep.formatting import (
+    LOGARITHMIC_UNITS,
+    RAGGED,
+    counted,
+    described,
+    plain,
+    units_of,
+    with_error,
+    with_unit,
+)
 from linksweep.sweep.studies.record import outer_draw_of
 from linksweep.sweep.studies.study import POINT
 
 LEVELLING_POINTS = 4  # the fewest for the levelling law, which has three parameters
+SURE = 3.0  # errors by which a value must be beyond a limit for its side to be decided
 DEVIATION_ALLOWED = 3.0  # an exponent may deviate from the expected one by this many of its errors
 P_VALUE_ALLOWED = 1e-3  # a law is said not to hold if the probability of its chi2 is lower
 EXCLUDED = "excluded by the study"
@@ -94,6 +104,16 @@ class Line:
     errors: Array
     status: NDArray[Any]
     samples: float
+
+    def decided(self, level: float) -> NDArray[np.bool_]:
+        """Return which points are surely on one side of a level, as far as their errors are known."""
+        return ~(abs(self.y - level) < SURE * self.sigmas())
+
+    def sigmas(self) -> Array:
+        """Return the one-sigma error of each point, (n,)."""
+        if self.errors.ndim == 1:
+            return self.errors
+        return np.asarray(np.sqrt(np.diag(self.errors) * small_sample_factor(self.samples)))
 
     def fitted(self, fit: Callable[..., dict[str, Any]]) -> dict[str, Any]:
         """Return the numbers of a ``fit`` to the points with a known error above 0, and how many these are; to all
@@ -224,7 +244,7 @@ def lines_of(
     covariance = quantity.covariance_along(dataset, variable, dimension)
     if covariance is not None:
         covariance = covariance.isel({pair[1]: quantity.places_of_others(dataset, variable, dimension)})
-    samples, error = quantity.samples_along(dataset, dimension, covariance), quantity.standard_error(dataset, variable)
+    samples, error = quantity.samples_along(dataset, variable, dimension), quantity.standard_error(dataset, variable)
     order = np.argsort(dataset[over].values, kind="stable")
 
     def rows(array: xr.DataArray, *last: str) -> NDArray[Any]:
@@ -251,14 +271,16 @@ def lines_of(
         n = np.nan if are_few and covariance is None and error is not None else samples
         made.append(Line(index, unit, x[used], value[number, used], spread, status[number, used], n))
     grid = quantity.grid_of(dataset, others)
-    words = _errors_in_words(dataset, made, error is not None and bool(error.any()), covariance is not None, samples)
+    words = "covariance between points" + (f", from {samples:.0f} samples" if np.isfinite(samples) else "")
+    if covariance is None:
+        words = _errors_in_words(dataset, made, dimension, error is not None and bool(error.any()), samples)
     return Lines(variable, over, units_of(dataset[over].attrs), others, grid, made, words)
 
 
-def _errors_in_words(dataset: xr.Dataset, made: Sequence[Line], known: bool, correlated: bool, samples: float) -> str:
-    if correlated:
-        return "covariance between points" + (f", from {samples:.0f} samples" if np.isfinite(samples) else "")
+def _errors_in_words(dataset: xr.Dataset, made: Sequence[Line], dimension: str, known: bool, samples: float) -> str:
     if np.isnan(samples):
+        if dimension not in dataset["status"].dims:
+            return f"not known, as all values along {dimension} are of the same realisations, and lack a covariance"
         needed = f"{FEWEST_SAMPLES} {outer_draw_of(dataset.attrs)}s, or as many blocks of one, and no `precision`"
         return f"not known, as points share random numbers and the store has no covariance of them (it needs {needed})"
     if not known:
@@ -539,7 +561,7 @@ def find(dataset: xr.Dataset, limit: Limit | str, over: str, covariance: xr.Data
         attributes give the meaning of the numbers), ``crossings`` (how many), ``first`` and ``last`` (the axis at the
         first and last crossing; NaN if there is none) with ``_error`` (one sigma, from the errors of the points around
         it; NaN where these are so large that there may be no crossing), ``nearest`` (if the condition is never or
-        always met, the value nearest to the limit; otherwise NaN) and ``nearest_at`` (the axis there).
+        always met, the value nearest to the limit; otherwise NaN) with ``_error``, and ``nearest_at`` (the axis there).
 
     Raises:
         SweepError: for an unknown variable or axis, points that are not done, and a unit of another kind.
@@ -556,7 +578,7 @@ def find(dataset: xr.Dataset, limit: Limit | str, over: str, covariance: xr.Data
     thresholds = made.thresholds(limit)
     rows = [_cross(line, limit, thresholds.get(line.unit, np.nan), made.over_unit) for line in made.lines]
     for row, line in zip(rows, made.lines, strict=True):
-        row["conclusion"] = _crossing_in_words(row, made.over_unit, line)
+        row["conclusion"] = _crossing_in_words(row, made.over_unit, line, thresholds.get(line.unit, np.nan))
     notes = [f"{limit} along {over}; errors: {made.errors}"]
     result = made.dataset(rows, ["conclusion"], notes, condition=str(limit))
     flags = {"flag_values": list(range(len(MET_WORDS))), "flag_meanings": ", ".join(MET_WORDS)}
@@ -618,7 +640,7 @@ def interpolate(
 
 def _cross(line: Line, limit: Limit, threshold: float, over_unit: str) -> dict[str, Any]:
     """Return the numbers of one line, which are the variables of `find`."""
-    names = ("first", "first_error", "last", "last_error", "nearest", "nearest_at")
+    names = ("first", "first_error", "last", "last_error", "nearest", "nearest_error", "nearest_at")
     row: dict[str, Any] = {"met": LEFT_OUT, "crossings": 0} | dict.fromkeys(names, np.nan)
     if np.isnan(threshold) or not len(line.x):
         return row
@@ -627,7 +649,8 @@ def _cross(line: Line, limit: Limit, threshold: float, over_unit: str) -> dict[s
     if not flips:
         low = limit.sign.startswith("<") != bool(met[0])
         nearest = int(np.argmin(line.y) if low else np.argmax(line.y))
-        return row | {"met": int(met[0]), "nearest": line.y[nearest], "nearest_at": line.x[nearest]}
+        numbers = {"nearest": line.y[nearest], "nearest_error": line.sigmas()[nearest], "nearest_at": line.x[nearest]}
+        return row | {"met": int(met[0])} | numbers
     row |= {"met": SEVERAL if len(flips) > 1 else FROM if met[-1] else UP_TO, "crossings": len(flips)}
     for name, i in (("first", flips[0]), ("last", flips[-1])):
         row[name], row[f"{name}_error"] = _crossing(line, i, threshold, over_unit)
@@ -884,7 +907,7 @@ def _levelling_in_words(row: Mapping[str, float], x: Array, unit: str) -> str:
     return f"{words}; {end}{doubt}"
 
 
-def _crossing_in_words(row: Mapping[str, Any], unit: str, line: Line) -> str:
+def _crossing_in_words(row: Mapping[str, Any], unit: str, line: Line, threshold: float) -> str:
     met = row["met"]
     words = MET_WORDS[met]
     names = ("first", "last") if row["crossings"] else ()
@@ -897,4 +920,8 @@ def _crossing_in_words(row: Mapping[str, Any], unit: str, line: Line) -> str:
         return words
     at = plain([row["nearest_at"], *line.x.tolist()])[0]
     where = f" at {at} {unit}".rstrip() if at else ""
-    return f"{words}; {with_unit(row['nearest'], 0.0, line.unit)}{where} is nearest to the limit"
+    undecided = int((~line.decided(threshold)).sum())
+    doubt = f"; not decided: {counted(undecided, 'point')} less than {SURE:g} errors from it" if undecided else ""
+    return (
+        f"{words}; {with_unit(row['nearest'], row['nearest_error'], line.unit)}{where} is nearest to the limit{doubt}"
+    )

@@ -173,10 +173,12 @@ def claims_of(dataset: xr.Dataset) -> list[Claim]:
 
 
 def shares_random_numbers(dataset: xr.Dataset, dimensions: Collection[str]) -> bool:
-    """Return whether points that differ along these dimensions, and no others, have random numbers in common."""
-    if not dataset.attrs.get(SHARES_RANDOM_NUMBERS):
-        return False
-    axes = {str(n) for n, c in dataset.coords.items() if set(c.dims) & set(dimensions) and not str(n).endswith("_unit")}
+    """Return whether points that differ along these dimensions, and no others, have random numbers in common: values
+    along a dimension of a result's own do, as the same realisations have them all.
+    """
+    if not (dimensions := {*dimensions} & {*axes_of(dataset)}) or not dataset.attrs.get(SHARES_RANDOM_NUMBERS):
+        return not dimensions
+    axes = {str(n) for n, c in dataset.coords.items() if dimensions & {*c.dims} and not str(n).endswith("_unit")}
     return SHARED_AXES not in dataset.attrs or axes - {POINT} <= set(json.loads(dataset.attrs[SHARED_AXES]))
 
 
@@ -186,13 +188,15 @@ def covariance_along(dataset: xr.Dataset, variable: str, dimension: str) -> xr.D
     return dataset[name] if name in dataset and f"{dimension}_other" in dataset[name].dims else None
 
 
-def samples_along(dataset: xr.Dataset, dimension: str, covariance: xr.DataArray | None) -> float:
+def samples_along(dataset: xr.Dataset, variable: str, dimension: str) -> float:
     """Return the number of independent samples that the covariance of points along a dimension was estimated from:
     infinity if it is exact or points are independent, NaN if they share random numbers and it is not known.
     """
+    covariance, error = covariance_along(dataset, variable, dimension), standard_error(dataset, variable)
     if covariance is not None:
         return float(covariance.attrs.get("samples", np.inf))
-    return np.nan if shares_random_numbers(dataset, [dimension]) else np.inf
+    is_exact = dimension in own_dimensions(dataset, variable) and (error is None or not error.any())
+    return np.nan if shares_random_numbers(dataset, [dimension]) and not is_exact else np.inf
 
 
 def places_of_others(dataset: xr.Dataset, variable: str, dimension: str) -> list[int]:
@@ -243,7 +247,7 @@ def error_of_sum(
         pairs = ({**one, dimension: a, f"{dimension}_other": places[b]} for a, b in ((i, i), (j, j), (i, j)))
         at_one, at_other, both = (dataset.isel(pair)[name].transpose(*dims).values for pair in pairs)
         variance = first**2 * at_one + second**2 * at_other + 2.0 * first * second * both
-        variance = np.maximum(0.0, variance * small_sample_factor(samples_along(dataset, dimension, covariance)))
+        variance = np.maximum(0.0, variance * small_sample_factor(samples_along(dataset, variable, dimension)))
     elif shares_random_numbers(dataset, differing):
         variance = np.nan * variance
     return np.asarray(np.sqrt(variance))

@@ -6,10 +6,10 @@ the same call after an interruption goes on with it.
 
 import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
-from itertools import islice
+from itertools import islice, pairwise
 from typing import Any
 
 import numpy as np
@@ -26,7 +26,6 @@ from linksweep.sweep.stores.location import Where, locked
 from linksweep.sweep.stores.store import OpenStore
 from linksweep.sweep.studies.study import Study, is_number
 
-SURE = 3.0  # errors by which a value must be beyond a limit for its side to be decided
 SHARE = 0.2  # of the realisations of the full grid: where so many are spent points get no more, unless the user says so
 LARGEST_FACTOR = 16  # a point gets at most so many times its realisations in a round: its error is an estimate, too
 FINEST = 1e-3  # the share of an axis below which `until` cuts no interval, unless the user says otherwise
@@ -91,9 +90,13 @@ class Refinement:
         why = " (the axis has whole numbers)" if self.dataset[self.along].dtype.kind == "i" else ""
         why = why or (" (--max-realisations allows more)" if what == "realisation" else "")
         for at, known in self.known.items():
-            yet = "" if known <= wanted * ROUNDING else f", not yet to {wanted:g}{why}"
+            enough, is_enough = wanted * ROUNDING, known <= wanted * ROUNDING
+            text = next(t for digits in range(2, 18) if (float(t := f"{known:.{digits}g}") <= enough) == is_enough)
             few = f"Not known{at}: there are too few points, or errors are not known{why}."
-            said.append(f"Known{at} to {known:.2g}{yet}." if known < math.inf else few)
+            if self.goal["find"]:
+                few = f"Not decided{at}: less than {laws.SURE:g} errors from the limit, or errors are not known{why}."
+            yet = "" if is_enough else f", not yet to {wanted:g}{why}"
+            said.append(f"Known{at} to {text}{yet}." if known < math.inf else few)
         if quantity.shares_random_numbers(self.dataset, [self.along]):
             said.append("Besides there is the Monte-Carlo error, which points with common random numbers share.")
         return said
@@ -107,14 +110,20 @@ def at_crossings(line: laws.Line, met: NDArray[np.bool_], level: float, within: 
     """Yield what a line lacks at each place where a condition changes.
 
     Where both sides are decided, the place is somewhere in between.  A point that is not decided is next to the place:
-    as near as its error over the least slope says, to the next points that surely differ from it.
+    as near as its error over the least slope says, to the next points that surely differ from it.  Where the condition
+    does not change beside such points, it is not known whether it does.
     """
     x, y, errors = line.x, line.y, line.errors
-    decided = ~(abs(y - level) < SURE * errors)
+    decided = line.decided(level)
+    ends = np.flatnonzero(~decided)
+    for some in np.split(ends, np.flatnonzero(np.diff(ends) > 1) + 1) if ends.size else ():
+        if len(set(met[max(some[0] - 1, 0) : some[-1] + 2].tolist())) == 1:
+            sigmas = np.maximum(abs(y[some] - level) / errors[some], 1e-3)
+            yield math.inf, [], dict(zip(some.tolist(), ((laws.SURE / sigmas) ** 2).tolist(), strict=True))
     for i in np.flatnonzero(met[1:] != met[:-1]).tolist():
         near = list[tuple[float, int]]()
         for end in (end for end in (i, i + 1) if not decided[end]):
-            apart = abs(y - y[end]) > SURE * np.hypot(errors, errors[end])
+            apart = abs(y - y[end]) > laws.SURE * np.hypot(errors, errors[end])
             beside = [*np.flatnonzero(apart[:end])[-1:], *(end + 1 + np.flatnonzero(apart[end + 1 :])[:1])]
             slope = min((abs((y[j] - y[end]) / (x[j] - x[end])) for j in beside), default=0.0)
             near.append((2.0 * errors[end] / slope if slope > 0.0 else x[-1] - x[0], end))
@@ -123,20 +132,26 @@ def at_crossings(line: laws.Line, met: NDArray[np.bool_], level: float, within: 
         yield known, [] if near or is_enough else [i], {end: (known / within) ** 2} if near and not is_enough else {}
 
 
-def between_points(line: laws.Line, level: float, within: float, unit: str) -> Iterator[Lack]:
-    """Yield what a line lacks so that each point can be interpolated from its neighbours to a level."""
+Pairs = Container[tuple[float, float]]
+
+
+def between_points(line: laws.Line, level: float, within: float, unit: str, uncut: Pairs) -> Iterator[Lack]:
+    """Yield what a line lacks so that each point can be interpolated from its neighbours to a level; of intervals that
+    are ``uncut`` nothing is known, as a curve may be on a line at the points of the first grid by chance.
+    """
     x, y, z = line.x, line.y, laws.on_scale(line.x, unit)
-    if len(x) == 2:
-        yield math.inf, [0], {}
+    aparts = np.zeros(len(x))
     for i in range(1, len(x) - 1):
         three, is_log = slice(i - 1, i + 2), bool(np.all(y[i - 1 : i + 2] > 0.0))
         u, right = np.log(y[three]) if is_log else y[three], (z[i] - z[i - 1]) / (z[i + 1] - z[i - 1])
         value = (1.0 - right) * u[0] + right * u[2]
-        apart = float(abs(y[i] - (np.exp(value) if is_log else value)))
+        aparts[i] = apart = float(abs(y[i] - (np.exp(value) if is_log else value)))
         noise = 2.0 * float(np.linalg.norm(line.errors[three] * np.array([1.0 - right, 1.0, right])))
         wide = [k for k in (i - 1, i) if x[k + 1] - x[k] > within] if apart > max(level, noise) else []
         is_noisy = noise > level and not apart > noise
         yield max(apart, noise), wide, dict.fromkeys((i - 1, i, i + 1), (noise / level) ** 2) if is_noisy else {}
+    some = [k for k in range(len(x) - 1) if len(x) == 2 or (x[k], x[k + 1]) in uncut]
+    yield from ((math.inf, [k], {}) for k in sorted(some, key=lambda k: -aparts[k : k + 2].max()))
 
 
 def refinements(study: Study, store: Where, goal: Goal, run: Callable[[Study], xr.Dataset]) -> Iterator[Refinement]:
@@ -165,6 +180,8 @@ def looked_at(asked: Study, now: Study, rounds: Sequence[Round], goal: Goal, dat
     quantity.require_quantity(dataset, variable)
     axis = sorted(value for value in asked.axes[over] if value is not None)
     finest = goal["within"] or FINEST * (axis[-1] - axis[0])
+    least = max(finest * ROUNDING, float(dataset[over].dtype.kind == "i"))  # there is nothing between whole numbers
+    uncut = {pair for pair in pairwise(axis) if pair[1] - pair[0] > least}
     made, common = laws.lines_of(dataset, variable, over), quantity.shares_random_numbers(dataset, [over])
     levels, known = made.thresholds(limit), dict[str, float]()
     gaps, factors = list[tuple[float, laws.Line, int]](), list[tuple[laws.Line, int, float]]()
@@ -178,7 +195,7 @@ def looked_at(asked: Study, now: Study, rounds: Sequence[Round], goal: Goal, dat
         line = replace(whole, x=whole.x[good], y=whole.y[good], errors=errors)
         level, within = levels.get(line.unit, math.nan), finest * ROUNDING
         at = at_crossings(line, limit.is_met(line.y, level), level, within)
-        lacks = list(at if is_find else between_points(line, level, within, made.over_unit))
+        lacks = list(at if is_find else between_points(line, level, within, made.over_unit, uncut))
         known |= {made.at(line): max(known for known, *_ in lacks)} if lacks else {}
         gaps += [(known, line, i) for known, some, _ in lacks for i in some]
         factors += [(line, i, factor) for *_, some in lacks for i, factor in some.items()]

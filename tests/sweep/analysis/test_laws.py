@@ -52,13 +52,19 @@ def test_a_covariance_is_that_of_the_dataset_or_of_the_call_and_of_the_points_th
     assert without["exponent_error"].values[0] == pytest.approx(part["exponent_error"].values[0], rel=1e-12)
 
 
-def test_common_random_numbers_without_a_covariance_have_no_error():
-    shared = {"common_random_numbers": 1, "shared_axes": '["n"]'}
-    dataset = grid(N**-0.5, 0.01 * N**-0.5).assign_attrs(shared)
+@pytest.mark.parametrize("is_own", [False, True])
+def test_values_of_the_same_random_numbers_have_no_error_without_a_covariance(is_own):
+    dataset = grid(N**-0.5, 0.01 * N**-0.5)
+    if is_own:  # a dimension of the result's own
+        dataset["status"] = dataset["status"].isel(n=0, drop=True)
+    else:
+        dataset.attrs |= {"common_random_numbers": 1, "shared_axes": '["n"]'}
     result = fit_power_law(dataset, "width", "n", expected=-0.5)
     assert result["exponent"].values == pytest.approx(-0.5)
     assert result[["exponent_error", "amplitude_error", "chi2", "p_value", "deviation"]].isnull().all().to_array().all()
-    assert "not known, as points share random numbers" in result.attrs["errors"]
+    assert result.attrs["errors"].startswith("not known, as ")
+    exact = fit_power_law(dataset.drop_vars("width_mc_error"), "width", "n")
+    assert exact["exponent_error"].notnull().all() == is_own
     assert np.isnan(ratio(dataset, "width", "n", 10.0, 20.0)["ratio_error"]).all()
     # Points that differ in what is not shared are independent.
     assert (ratio(dataset, "width", "model", "old", "new")["ratio_error"] > 0.0).all()
@@ -102,6 +108,8 @@ def test_where_a_condition_is_met(value, sign):
         assert np.all(result["first"] <= result["last"])
     else:
         assert result["nearest"].values == pytest.approx(min(value, key=lambda one: abs(one - 2.0)))
+        assert result["nearest_error"].values == pytest.approx(0.01)
+        assert ["not decided" in words for words in result["conclusion"].values] == [2.0 in value] * 2
         assert np.all(np.isnan(result["first"]))
 
 
@@ -130,8 +138,7 @@ def test_any_text_is_a_condition_or_a_clear_error(text):
 
 
 def without_inverse(number):
-    covariance = np.broadcast_to(np.eye(5), (2, 5, 5)).copy()
-    covariance[1] = number
+    covariance = np.stack([np.eye(5), np.full((5, 5), number)])
     return grid(N**-0.5, width_mc_covariance_n=(("model", "n", "n_other"), covariance))
 
 

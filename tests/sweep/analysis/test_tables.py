@@ -32,9 +32,8 @@ def test_integers_are_exact_beside_gaps_in_tables_and_in_the_dataset(tmp_path, s
     store = tmp_path / "large.zarr"
     linksweep.run(large, store, axes={"a": range(1, 11)}, pool="serial")
     text = shown("show", store)
-    assert str(np.iinfo(np.int64).min) not in text
+    assert (str(LARGE + 1) in text, str(np.iinfo(np.int64).min) in text) == (True, False)
     assert ["3", "failed"] in [line.split() for line in text.splitlines()]
-    assert str(LARGE + 1) in text
     rows = json.loads(shown("show", store, "--json"))["rows"]
     assert [row["small"] for row in rows] == EXPECTED
     assert [row["k"] for row in rows] == EXACT
@@ -43,8 +42,7 @@ def test_integers_are_exact_beside_gaps_in_tables_and_in_the_dataset(tmp_path, s
     assert [cells[0] for cells in csv] == ["" if k is None else str(k) for k in EXACT]
     assert [float(cells[1]) if cells[1] else None for cells in csv] == EXPECTED
     ecsv = Table.read(shown("show", store, "--format", "ecsv"), format="ascii.ecsv")
-    assert ecsv["k"].tolist() == EXACT
-    assert ecsv["small"].tolist() == EXPECTED
+    assert (ecsv["k"].tolist(), ecsv["small"].tolist()) == (EXACT, EXPECTED)
     found = linksweep.open(store)
     assert [None if k != k else k for k in found.k.values] == EXACT  # noqa: PLR0124 (NaN)
     assert found.small.dtype == float
@@ -98,8 +96,7 @@ def test_a_prediction_is_shown_with_its_parts_and_a_published_number_with_the_di
     first = next(line for line in text_of(dataset).splitlines() if line.split()[:1] == ["old"])
     assert first.split()[2:] == ["0.6000", "±", "0.0030", "0.5000", "0.4000", "0.3000", "0.5", "+20.0", "%"]
     text = text_of(grid(28.0, published={(0, 0): "28"}))  # what is met exactly is a sentence and no column
-    assert "width: all published values are met exactly" in text
-    assert "difference" not in text
+    assert ("width: all published values are met exactly" in text, "difference" in text) == (True, False)
 
 
 def test_each_component_and_a_bad_condition_are_shown_in_80_columns():
@@ -119,8 +116,7 @@ def test_each_component_and_a_bad_condition_are_shown_in_80_columns():
     assert words in " ".join(text.split())
     assert max(map(len, text.splitlines()[:4])) <= 80
     warned = "at 1 point the condition number is up to 2e+03"
-    assert warned in text
-    assert warned not in text_of(masers.assign(condition_number=("n_obj", [3.0])))
+    assert (warned in text, warned in text_of(masers.assign(condition_number=("n_obj", [3.0])))) == (True, False)
     assert "omega_x" not in text_of(masers.drop_vars(["sigma_mc_error"]))
 
 
