@@ -23,8 +23,9 @@ arithmetic.
 """
 
 import math
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -35,8 +36,8 @@ from linksweep.core.setup import Noise, Prefixes, Setup, SharedSums, Tile, origi
 from linksweep.core.unknowns import GLIDE, ORIENTATION, SPIN, link_unknowns
 
 Solved = Callable[[], tuple[Array, Array]]
-"""A function that returns, after the last tile, estimate - truth of each realisation of a chunk, (..., K, rows), and
-the sum of their chi2, (...).
+"""A function that returns, after the last tile of a chunk, what `Matrices.solved` needs, or of a noisy design what that
+gives.
 """
 
 LARGEST_NEGLECT = 0.01
@@ -46,14 +47,11 @@ times smaller than the bound: below the Monte-Carlo error of a million realisati
 
 
 @dataclass(frozen=True)
-class FixedDesign:
-    """The columns (N, 4, C) that turn unit normals into estimates, and the small matrices of their products; of a stack
-    of catalogues these have a leading axis.
+class Matrices:
+    """The small matrices of the products of columns [a, ..., m]; of several designs, or of a stack of catalogues, these
+    have leading axes.
     """
 
-    setup: Setup
-    columns: Array
-    solving: slice  # which columns make the gain when multiplied by the inverse
     normal: Array  # a^T a, (..., K, K)
     inverse: Array  # of A^T W A, W the weights of the solution
     bias: Array  # (..., K)
@@ -62,11 +60,35 @@ class FixedDesign:
     gain_products: Array  # the covariance of g^T z, (..., K, K)
     condition_number: Array  # of A^T W A, (...)
 
+    def solved(self, products: Array, squares: Array) -> tuple[Array, Array]:
+        """Return estimate - truth (..., K, rows) and the sum of chi2 (...) from ``products`` = columns^T z
+        (..., C, rows) and the sum of z^2.
+        """
+        a_z = products[..., : self.bias.shape[-1], :]
+        g_z = self.inverse @ products[..., self.solving, :]
+        r_z = products[..., -1, :] - (self.bias[..., None, :] @ a_z)[..., 0, :]
+        chi2 = products.shape[-1] * self.residual_squares + squares - 2.0 * np.sum(r_z, axis=-1)
+        terms = g_z * (self.normal @ g_z - 2.0 * a_z + 2.0 * self.design_residual[..., None])
+        return self.bias[..., None] - g_z, chi2 + terms.reshape(*chi2.shape, -1).sum(axis=-1)
+
+    @property
+    def solving(self) -> slice:
+        """Which columns make the gain when multiplied by the inverse: those before the misclosure."""
+        return slice(-1 - self.bias.shape[-1], -1)
+
+
+@dataclass(frozen=True)
+class FixedDesign(Matrices):
+    """The columns (N, 4, C) that turn unit normals into estimates, and their matrices."""
+
+    setup: Setup
+    columns: Array
+
     def begin(self, rows: int, drawn: Array | None, shared: SharedSums) -> Solved:
         """Ask for the sums of ``rows`` realisations, whose zonal errors are drawn already (``drawn``)."""
         setup, noise = self.setup, self.setup.satellite
         if not noise:
-            return lambda: self.solved(np.zeros((*setup.stack, self.columns.shape[2], rows)), 0.0)
+            return lambda: (np.zeros((*setup.stack, self.columns.shape[2], rows)), np.zeros(setup.stack))
         ratio = noise.inflation if noise.is_drawn else 0.0
         measured, columns = setup.observables, setup.stacked(self.columns)
         alone = noise.factor is not None or drawn is not None  # its errors are those of no other point
@@ -98,7 +120,7 @@ class FixedDesign:
             shared.ask(("products", origin(columns), which), setup.n_obj, products),
             shared.ask(("squares", measured.start, measured.stop, which), setup.n_obj, squares),
         )
-        return lambda: self.solved(*(total() for total in asked))
+        return lambda: (asked[0](), asked[1]())
 
     def predicted_covariance(self) -> Array:
         """Return the covariance of the unknowns; shape (..., K, K)."""
@@ -126,43 +148,27 @@ class FixedDesign:
         """Return r of some objects; shape (n, 4)."""
         return np.asarray(self.columns[part, :, -1] - self.columns[part, :, : len(self.bias)] @ self.bias)
 
-    def solved(self, products: Array, squares: Array | float) -> tuple[Array, Array]:
-        """Return estimate - truth (..., K, rows) and the sum of chi2 (...) from ``products`` = columns^T z
-        (..., C, rows) and the sum of z^2.
-        """
-        a_z = products[..., : self.bias.shape[-1], :]
-        g_z = self.inverse @ products[..., self.solving, :]
-        r_z = products[..., -1, :] - (self.bias[..., None, :] @ a_z)[..., 0, :]
-        chi2 = products.shape[-1] * self.residual_squares + squares - 2.0 * np.sum(r_z, axis=-1)
-        terms = g_z * (self.normal @ g_z - 2.0 * a_z + 2.0 * self.design_residual[..., None])
-        return self.bias[..., None] - g_z, chi2 + terms.reshape(*self.setup.stack, -1).sum(axis=-1)
 
+def fixed_designs(setups: Sequence[Setup], shared: Prefixes) -> tuple[list[FixedDesign], Matrices]:
+    """Return the designs of setups that are alike at the true reference, and their matrices; that of the largest
+    catalogue should come first.
 
-def fixed_designs(setups: Sequence[Setup], shared: Prefixes) -> list[FixedDesign]:
-    """Return the design of each setup at the true reference; that of the largest catalogue should come first.
-
-    The small matrices of similar designs are computed together: one by one they would take longer than the objects of a
-    small catalogue.  Raises LinkError where a catalogue does not determine the link.
+    The small matrices are computed together: one by one they would take longer than the objects of a small catalogue.
+    Raises LinkError where a catalogue does not determine the link.
     """
-    designs: dict[int, FixedDesign] = {}
-    alike: dict[Hashable, list[int]] = {}
-    for k, setup in enumerate(setups):
-        alike.setdefault((len(setup.truth), setup.scenario.weighting, setup.measured), []).append(k)
-    for group in alike.values():
-        first = setups[group[0]]
-        unknowns, optimal = len(first.truth), first.scenario.weighting == "inverse-variance"
-        columns = [_columns(setups[k], 1 if optimal else 2, shared) for k in group]
-        # stacked: for one 6 x 6 matrix the calls take longer than the arithmetic
-        products = np.stack([shared.products(setups[k].stacked(each)) for k, each in zip(group, columns, strict=True)])
-        solving = slice(0, unknowns) if optimal else slice(unknowns, 2 * unknowns)
-        matrices = _matrices(products, slice(0, unknowns), solving, first.fixed)
-        for k, each, *small in zip(group, columns, *matrices, strict=True):
-            designs[k] = FixedDesign(setups[k], each, solving, *small)
-    return [designs[k] for k in range(len(setups))]
+    first = setups[0]
+    unknowns, optimal = len(first.truth), first.scenario.weighting == "inverse-variance"
+    columns_of = cache(lambda whole: _columns(whole, 1 if optimal else 2, shared))
+    columns = [columns_of(setup.whole or setup)[: len(setup.catalogue)] for setup in setups]
+    products = np.stack([shared.products(setup.stacked(each)) for setup, each in zip(setups, columns, strict=True)])
+    solving = slice(0, unknowns) if optimal else slice(unknowns, 2 * unknowns)
+    matrices = _matrices(products, slice(0, unknowns), solving, first.fixed)
+    designs = [FixedDesign(*each) for each in zip(*matrices, setups, columns, strict=True)]
+    return designs, Matrices(*matrices)
 
 
 def _matrices(products: Array, design: slice, solving: slice, fixed: slice) -> tuple[Array, ...]:
-    """Return the small matrices of `FixedDesign`, in its order, from the products (..., C, C) of the columns."""
+    """Return the small matrices of `Matrices`, in its order, from the products (..., C, C) of the columns."""
     normal, design_misclosure = products[..., design, design], products[..., design, -1]
     # for equal weights the estimate is (A^T A)^-1 A^T y with A = sigma a, and A^T A = a^T (sigma^2 a)
     solved = products[..., design, solving].copy()
@@ -240,15 +246,17 @@ class Projected:
             self.triangle = np.asarray(np.linalg.qr(np.concatenate([self.triangle, rows]), mode="r"))
 
     def draw(self, rows: int, rng: np.random.Generator) -> tuple[Array, Array]:
-        """Return estimate - truth of ``rows`` realisations (K, rows), and the sum of their chi2."""
+        """Return the products (C, rows) of the columns and the normals of ``rows`` realisations, and the sum of the
+        squares of the normals.
+        """
         setup = self.design.setup
         if not setup.reference and not setup.satellite:
-            return self.design.solved(np.zeros((self.triangle.shape[1], rows)), 0.0)
+            return np.zeros((self.triangle.shape[1], rows)), np.zeros(())
         normals = rng.standard_normal((rows, len(self.triangle))).T
         outside = self.design.columns[:, setup.observables, 0].size - len(self.triangle)
         # only the sum over the realisations is needed, and a sum of chi-squares is a chi-square too
         squares = float(np.vdot(normals, normals)) + (rng.chisquare(rows * outside) if outside else 0.0)
-        return self.design.solved(self.triangle.T @ normals, squares)
+        return self.triangle.T @ normals, np.asarray(squares)
 
 
 def neglected(design: FixedDesign) -> Array:

@@ -18,7 +18,7 @@ the other side or another point needs.
 import math
 from bisect import insort
 from collections.abc import Callable, Hashable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Literal, NamedTuple
 
@@ -205,6 +205,7 @@ class Prefixes:
     """Arrays over objects that have been computed for a block; ask for those of the largest catalogue first."""
 
     def __init__(self) -> None:
+        self.setups: list[Setup] = []
         self._known: dict[Hashable, list[tuple[tuple[Array, ...], Array]]] = {}
         self._products: dict[Hashable, Array] = {}
         self._objects: dict[Hashable, list[tuple[slice, Objects]]] = {}
@@ -238,13 +239,12 @@ class Prefixes:
         It is added up part by part, and a part is multiplied once for all columns that begin there.
         """
         *stack, n_obj, _, number = columns.shape
-        total = np.zeros((*stack, number, number))
+        total, beginning = np.zeros((*stack, number, number)), origin(columns)
         # parts of fixed size: the sum of a catalogue rounds as that of a larger one that begins with it
         for part in parts(n_obj):
-            rows = columns[..., part, :, :]
-            place = origin(rows), rows.shape
+            place = beginning, part.start, part.stop
             if (product := self._products.get(place)) is None:
-                flat = rows.reshape(*stack, -1, number)
+                flat = columns[..., part, :, :].reshape(*stack, -1, number)
                 product = self._products[place] = flat.swapaxes(-1, -2) @ flat
             total += product
         return total
@@ -342,11 +342,12 @@ class Noise:
         return covariance if self.field is None else covariance + self.field.covariance_through(gain)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Setup:
     """What all realisations of one catalogue share, in rad and rad/yr; K unknowns, N objects.
 
     In a ``stack`` of catalogues the objects of one follow those of the one before, and the truth is the same for all.
+    ``whole`` is that of a larger catalogue which begins with these objects, all else being equal.
     """
 
     scenario: Scenario
@@ -358,6 +359,14 @@ class Setup:
     sigma: Array  # (N, 4), as the link weighs the differences
     measured: tuple[bool, bool] = (True, True)  # positions, proper motions
     stack: Stack = ()
+    whole: "Setup | None" = None
+
+    def head(self, scenario: Scenario, catalogue: Catalogue) -> "Setup":
+        """Return that of a smaller catalogue, of a scenario that is the same but for its size."""
+        cut = slice(len(catalogue))
+        reference, satellite = (replace(side, stated=side.stated[cut]) for side in (self.reference, self.satellite))
+        differences, sigma = self.differences[cut], self.sigma[cut]
+        return Setup(scenario, catalogue, self.truth, differences, reference, satellite, sigma, whole=self)
 
     @property
     def n_obj(self) -> int:
@@ -373,6 +382,17 @@ class Setup:
         """The observables that are measured."""
         positions, motions = self.measured
         return slice(OBSERVABLES[0 if positions else 1].start, OBSERVABLES[1 if motions else 0].stop)
+
+    @property
+    def drawn(self) -> tuple[int, int]:
+        """Objects for which normals of the satellite and of the reference are drawn."""
+        drawn = self.scenario.method != "projected"
+        return self.n_obj * (drawn and bool(self.satellite)), self.n_obj * (drawn and bool(self.reference))
+
+    @property
+    def kind(self) -> Hashable:
+        """What links have in common that are solved together."""
+        return len(self.truth), self.scenario.weighting, self.scenario.method, self.measured, bool(self.reference)
 
     @property
     def counted(self) -> Array:
@@ -393,6 +413,9 @@ def prepare(scenario: Scenario, catalogue: Catalogue, vectors: Array, shared: Pr
     Raises LinkError where they cannot be weighed, UnlikeError for a stack in which only some catalogues have errors, or
     errors are correlated.
     """
+    for whole in shared.setups:
+        if whole.scenario == scenario:
+            return whole.head(scenario, catalogue)
     reference, satellite = (_noise(scenario, side, catalogue, shared) for side in ("reference", "satellite"))
     for side in (reference, satellite) if stack else ():
         if side.factor is not None:
@@ -401,13 +424,18 @@ def prepare(scenario: Scenario, catalogue: Catalogue, vectors: Array, shared: Pr
         if np.any(have_errors) != np.all(have_errors):
             raise UnlikeError("some of the catalogues have no errors")
     stated = reference.stated, satellite.stated
-    if np.all(satellite.stated > 0.0):  # then the result of an object depends on no other one
+    by_object = bool(np.all(satellite.stated > 0.0))  # then the result of an object depends on no other one
+    if by_object:
         sigma, kinds = shared.once("combined errors", frames.combined_error, *stated), (True, True)
     else:
         sigma, kinds = frames.combined_error(*stated), frames.measured(np.add(*stated))
     glide = [-np.array(scenario.aberration)] if scenario.solve_glide else []
     truth, differences = np.concatenate([*vectors, *glide]), _differences(scenario, catalogue, vectors, shared)
-    return Setup(scenario, catalogue, truth, differences, reference, satellite, sigma, kinds, stack)
+    setup = Setup(scenario, catalogue, truth, differences, reference, satellite, sigma, kinds, stack)
+    models = scenario.reference_errors, scenario.satellite_errors
+    if by_object and scenario.zonal is None and all(model.is_elementwise for model in models):
+        shared.setups.append(setup)
+    return setup
 
 
 def _noise(scenario: Scenario, side: str, catalogue: Catalogue, shared: Prefixes) -> Noise:

@@ -1,6 +1,6 @@
 """Steps A-F of the simulation for a block of realisations, in bounded memory."""
 
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from functools import partial
 from itertools import zip_longest
 from typing import Any, TypeVar, cast
@@ -10,7 +10,7 @@ import numpy as np
 from linksweep.core.catalogues import Catalogue
 from linksweep.core.designs import FixedDesign, NoisyDesign, Projected, Solved, fixed_designs
 from linksweep.core.frames import MAS, Array, LinkError, Stack
-from linksweep.core.setup import ROWS, Prefixes, Scenario, SharedSums, prepare, tiles
+from linksweep.core.setup import ROWS, Prefixes, Scenario, Setup, SharedSums, prepare, tiles
 from linksweep.core.unknowns import ALWAYS, GLIDE, ORIENTATION, SPIN
 
 Streams = tuple[np.random.Generator, np.random.Generator]
@@ -82,20 +82,23 @@ def _simulate(
     drawn, prefixes = _draws(scenarios, [catalogue_rng for _, catalogue_rng in streams], stack), Prefixes()
     # the largest first: what is computed for it serves the catalogues that are its beginning
     order = sorted(range(len(drawn)), key=lambda k: -len(drawn[k][0]))
-    setups = [prepare(scenarios[k], *drawn[k], prefixes, stack) for k in order]
-    designs = dict(zip(order, fixed_designs(setups, prefixes), strict=True))
-    points = [_Point(designs[k], n_sim, keep_estimates) for k in range(len(drawn))]
-    noisy = [point.path for point in points if isinstance(point.path, NoisyDesign)]
+    setups = {k: prepare(scenarios[k], *drawn[k], prefixes, stack) for k in order}
+    alike: dict[Hashable, list[int]] = {}
+    for k, setup in setups.items():
+        alike.setdefault(setup.kind, []).append(k)
+    groups = [_Group([setups[k] for k in some], prefixes, n_sim, keep_estimates) for some in alike.values()]
+    paths = [path for group in groups for path in group.paths]
+    noisy = [path for path in paths if isinstance(path, NoisyDesign)]
     zonal = any(scenario.zonal is not None for scenario in scenarios)
     # each side is drawn as far as its largest catalogue goes, and not at all where no point has errors on it
-    satellite_objects, reference_objects = (max(counts) for counts in zip(*(p.drawn for p in points), strict=True))
+    satellite_objects, reference_objects = map(max, zip(*(setup.drawn for setup in setups.values()), strict=True))
     for start in range(0, n_sim, ROWS):
         rows = min(ROWS, n_sim - start)
         # a stream for each side, so that a side without errors does not change the normals of the other
         satellite_rngs, reference_rngs = zip(*(rng.spawn(2) for rng, _ in streams), strict=True)
         field_rng = satellite_rngs[0].spawn(1)[0] if zonal else satellite_rngs[0]  # which draws nothing
         shared = SharedSums()
-        solved = [point.begin(rows, satellite_rngs[0], field_rng, shared) for point in points]
+        solved = [[_begun(path, rows, satellite_rngs[0], field_rng, shared) for path in g.paths] for g in groups]
         for satellite, reference in zip_longest(
             tiles(satellite_rngs, stack, rows, satellite_objects), tiles(reference_rngs, stack, rows, reference_objects)
         ):
@@ -104,63 +107,71 @@ def _simulate(
             if reference is not None:
                 for path in noisy:
                     path.add(satellite, reference)
-        for point, result in zip(points, solved, strict=True):
-            point.add(*result())
-    return [point.sums() for point in points]
+        for group, results in zip(groups, solved, strict=True):
+            group.add([result() for result in results])
+    sums: dict[int, Sums] = {}
+    for group, some in zip(groups, alike.values(), strict=True):
+        sums |= zip(some, group.sums(), strict=True)
+    return [sums[k] for k in range(len(scenarios))]
 
 
-class _Point:
-    """How one scenario gets its estimates, and the sums over these."""
+Path = FixedDesign | NoisyDesign | Projected
 
-    def __init__(self, design: FixedDesign, n_sim: int, keep_estimates: bool) -> None:
-        setup = design.setup
-        unknowns = len(setup.truth)
-        self.setup, self.n_sim, self.design = setup, n_sim, design
-        self.covariance = design.predicted_covariance() / MAS**2
-        self.path: FixedDesign | NoisyDesign | Projected = design
-        if setup.scenario.method == "projected":
-            self.path = Projected(design)
-        elif setup.reference:
-            self.path = NoisyDesign(setup)
-        self.error, self.chi2 = np.zeros((*setup.stack, unknowns)), np.zeros(setup.stack)
-        self.products = np.zeros((*setup.stack, unknowns, unknowns))
+
+def _path(design: FixedDesign) -> Path:
+    """Return how a point gets its estimates."""
+    if design.setup.scenario.method == "projected":
+        return Projected(design)
+    return NoisyDesign(design.setup) if design.setup.reference else design
+
+
+def _begun(
+    path: Path, rows: int, rng: np.random.Generator, field_rng: np.random.Generator, shared: SharedSums
+) -> Solved:
+    """Return what gives the solutions of ``rows`` realisations, having asked for the sums that it needs; the projected
+    method draws from the beginning of the satellite's stream, zonal errors from that of their own.
+    """
+    if isinstance(path, Projected):
+        drawn = _from_start(rng, partial(path.draw, rows))
+        return lambda: drawn
+    return path.begin(rows, _from_start(field_rng, partial(path.setup.satellite.draw_field, rows)), shared)
+
+
+class _Group:
+    """How points that are alike get their estimates, and the sums over these: arrays have a first axis of points."""
+
+    def __init__(self, setups: Sequence[Setup], shared: Prefixes, n_sim: int, keep_estimates: bool) -> None:
+        designs, self.matrices = fixed_designs(setups, shared)
+        self.setups, self.n_sim, self.shape = setups, n_sim, self.matrices.condition_number.shape
+        self.covariance = np.stack([design.predicted_covariance() for design in designs]) / MAS**2
+        self.chi2_variance = np.stack([design.chi2_variance() for design in designs])
+        self.paths = [_path(design) for design in designs]
+        self.error, self.chi2 = np.zeros_like(self.matrices.bias), np.zeros(self.shape)
+        self.products = np.zeros_like(self.covariance)
         self.kept: list[Array] | None = [] if keep_estimates else None
 
-    @property
-    def drawn(self) -> tuple[int, int]:
-        """Objects for which normals of the satellite and of the reference are drawn."""
-        if isinstance(self.path, Projected):
-            return 0, 0
-        return self.setup.n_obj * bool(self.setup.satellite), self.setup.n_obj * bool(self.setup.reference)
-
-    def begin(self, rows: int, rng: np.random.Generator, field_rng: np.random.Generator, shared: SharedSums) -> Solved:
-        """Return what gives the solutions of ``rows`` realisations, having asked for the sums that it needs; the
-        projected method draws from the beginning of the satellite's stream, zonal errors from that of their own.
-        """
-        if isinstance(self.path, Projected):
-            drawn = _from_start(rng, partial(self.path.draw, rows))
-            return lambda: drawn
-        return self.path.begin(rows, _from_start(field_rng, partial(self.setup.satellite.draw_field, rows)), shared)
-
-    def add(self, error: Array, chi2: Array) -> None:
-        """Add realisations: their estimate - truth (..., K, rows), and the sum of their chi2."""
+    def add(self, results: Sequence[tuple[Array, Array]]) -> None:
+        """Add what the paths of all points return of some realisations."""
+        products, squares = (np.stack(each) for each in zip(*results, strict=True))
+        is_noisy = isinstance(self.paths[0], NoisyDesign)
+        error, chi2 = (products, squares) if is_noisy else self.matrices.solved(products, squares)
         # sums of estimate - truth, not of estimates: the truth may be a million times as large as its error
         self.error += error.sum(axis=-1)
         self.products += error @ error.swapaxes(-1, -2)
         self.chi2 += chi2
         if self.kept is not None:
             # each catalogue has its own truth where directions are random, and nothing would tell it
-            truth = 0.0 if self.setup.scenario.random_directions else self.setup.truth
-            self.kept.append((error.T + truth) / MAS)
+            truths = [np.zeros_like(one.truth) if one.scenario.random_directions else one.truth for one in self.setups]
+            self.kept.append((error.swapaxes(-1, -2) + np.stack(truths)[:, None]) / MAS)
 
-    def sums(self) -> Sums:
-        """Return what has been added up."""
+    def sums(self) -> Iterator[Sums]:
+        """Yield what has been added up of each point."""
         if not np.all(np.isfinite(self.error)):  # NaN is only for what is not determined
             raise LinkError("the solution is not finite")
-        stack, n_sim, fixed = self.setup.stack, self.n_sim, self.setup.fixed
+        n_sim, fixed = self.n_sim, self.setups[0].fixed
         error, products = self.error / MAS, self.products / MAS**2
         error[..., fixed] = np.nan  # they stayed at the truth, which is no result
-        bias, covariance, condition = self.design.bias / MAS, self.covariance, self.design.condition_number
+        bias, covariance, condition = self.matrices.bias / MAS, self.covariance, self.matrices.condition_number
         variance = np.einsum("...kk->...k", covariance)
         mean_squares = variance + np.square(bias)
         # x_k^2 and x_l^2 of normal x with the mean b and the covariance V have the covariance 2 V_kl (V_kl + 2 b_k b_l)
@@ -169,32 +180,34 @@ class _Point:
         parts = ORIENTATION, SPIN
         means = [mean_squares[..., part].sum(axis=-1) / 3 for part in parts]
         of_means = [of_squares[..., part, part].sum(axis=(-2, -1)) / 9 for part in parts]
-        whole = self._whole(mean_squares, means=means)
+        whole = _whole(mean_squares, means=means)
         sums = {
-            "error": self._whole(error, np.nan),
+            "error": _whole(error, np.nan),
             "error_products": products[..., ALWAYS, ALWAYS],
-            "glide_squares": self._whole(np.einsum("...kk->...k", products))[..., GLIDE],
+            "glide_squares": _whole(np.einsum("...kk->...k", products))[..., GLIDE],
             "chi2": self.chi2,
-            "predicted_variance": n_sim * self._whole(variance),
+            "predicted_variance": n_sim * _whole(variance),
             "predicted_powers": n_sim * np.stack([whole**2, whole**3], axis=-2),
-            "predicted_square_variance": n_sim * self._whole(np.einsum("...kk->...k", of_squares), means=of_means),
-            "predicted_bias": n_sim * self._whole(bias),
-            "predicted_bias_squares": n_sim * self._whole(np.square(bias)),
+            "predicted_square_variance": n_sim * _whole(np.einsum("...kk->...k", of_squares), means=of_means),
+            "predicted_bias": n_sim * _whole(bias),
+            "predicted_bias_squares": n_sim * _whole(np.square(bias)),
             "condition_number": n_sim * condition,
-            "n_obj": np.full(stack, float(n_sim * self.setup.n_obj)),
-            "chi2_variance": n_sim * self.design.chi2_variance(),
-            "batch_mean_squares": np.square(self._whole(error, np.nan, (self.chi2, n_sim * condition))) / n_sim,
-            "batches": np.ones(stack),
+            "n_obj": np.stack([np.full(one.stack, float(n_sim * one.n_obj)) for one in self.setups]),
+            "chi2_variance": n_sim * self.chi2_variance,
+            "batch_mean_squares": np.square(_whole(error, np.nan, (self.chi2, n_sim * condition))) / n_sim,
+            "batches": np.ones(self.shape),
         }
         if self.kept is not None:
-            sums["estimate"] = np.concatenate(self.kept)
-            sums["estimate"][:, fixed] = np.nan
-        return sums
+            sums["estimate"] = np.concatenate(self.kept, axis=1)
+            sums["estimate"][..., fixed] = np.nan
+        for k in range(len(self.setups)):
+            yield {name: values[k] for name, values in sums.items()}
 
-    def _whole(self, values: Array, missing: float = 0.0, means: Sequence[Array] = ()) -> Array:
-        """Return values with something for a glide that is not solved for, and with their means."""
-        glide = np.full((*self.setup.stack, GLIDE.stop - values.shape[-1]), missing)
-        return np.concatenate([values, glide, *(mean[..., None] for mean in means)], axis=-1)
+
+def _whole(values: Array, missing: float = 0.0, means: Sequence[Array] = ()) -> Array:
+    """Return values with something for a glide that is not solved for, and with their means."""
+    glide = np.full((*values.shape[:-1], GLIDE.stop - values.shape[-1]), missing)
+    return np.concatenate([values, glide, *(mean[..., None] for mean in means)], axis=-1)
 
 
 def _draws(

@@ -80,7 +80,7 @@ def set_up(catalogue, physics):
 
 
 def design_of(setup):
-    return fixed_designs([setup], Prefixes())[0]
+    return fixed_designs([setup], Prefixes())[0][0]
 
 
 def core_design(ra, dec, pmra, pmdec, corrections=True, glide=False):
