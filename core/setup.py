@@ -325,10 +325,6 @@ class Noise:
         """Whether all errors are independent and equal to those in the weights."""
         return self.factor is None and self.field is None and (self.inflation == 1.0 or not self.is_drawn)
 
-    def draw_field(self, rows: int, rng: np.random.Generator) -> Array | None:
-        """Return what decides ``rows`` realisations of the errors that objects share, or None."""
-        return None if self.field is None else self.field.draw(rows, rng)
-
     def standardised(self, normals: Array, start: int) -> Array:
         """Return errors in units of their sigma from the unit normals (m, 4, rows) of the objects from ``start`` on."""
         return normals if self.factor is None else self.factor[start : start + len(normals)] @ normals

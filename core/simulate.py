@@ -134,7 +134,8 @@ def _begun(
     if isinstance(path, Projected):
         drawn = _from_start(rng, partial(path.draw, rows))
         return lambda: drawn
-    return path.begin(rows, _from_start(field_rng, partial(path.setup.satellite.draw_field, rows)), shared)
+    field = path.setup.satellite.field
+    return path.begin(rows, None if field is None else _from_start(field_rng, partial(field.draw, rows)), shared)
 
 
 class _Group:

@@ -361,7 +361,6 @@ class Tuning:
         flush_every_s: seconds after which new results are made durable, when others arrive.
         latest_flush_s: seconds after which they are made durable even if no others arrive.
         write_every_s: seconds after which the dataset is written again during a run.
-        early_write: the same as a share of the time since its begin, while that is less, but at least two seconds.
         write_share: the share of a run's time that these writes may take, besides the first ``early_writes_s``.
         long_write_bytes: size of a dataset that takes a second or more to write: an interruption does not wait for it.
         long_write_points: the same, in points.
@@ -371,7 +370,6 @@ class Tuning:
     flush_every_s: float = 1.0
     latest_flush_s: float = 2.0
     write_every_s: float = 5.0
-    early_write: float = 0.25
     write_share: float = 0.05
     early_writes_s: float = 0.5
     long_write_bytes: int = 2**26

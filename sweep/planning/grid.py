@@ -340,7 +340,8 @@ def _with_points(counts: Mapping[str, int], what: str) -> list[str]:
 
 
 class PointCache(Generic[T]):
-    """A function of a point, called once for each combination of values of those axes that it looks at.
+    """A function of a point, called once for each combination of values of those axes that it looks at, as far as
+    memory goes: a plan asks for the cost of a point with each of its blocks.
 
     In a grid of a million points an experiment's check or cost rarely looks at all axes.  The function must depend on
     its point alone.
@@ -353,8 +354,6 @@ class PointCache(Generic[T]):
 
     def __call__(self, parameters: dict[str, Any]) -> T:
         """Return the function's value for these parameters."""
-        if self._read and len(self._read) == len(self._axes):
-            return self._function(parameters)  # it reads every axis, so that no result can be used twice
         key = tuple([parameters[name] for name in self._read])
         if key in self._known:
             return self._known[key]

@@ -10,6 +10,7 @@ from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence, Set
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
+from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
 from threading import Event, RLock, Thread
@@ -41,6 +42,11 @@ from linksweep.sweep.tables.reader import from_frame
 
 OLD = "old"
 """What a condition calls points that were made by other code than today's."""
+
+LONG = 2.0**32
+"""Random numbers of a run, some ten seconds on a few cores, from which on its store has a dataset before its first
+results.
+"""
 
 AGAIN = "is to be computed again where "
 """With which the reason begins why a point is not done that a run was to compute again."""
@@ -395,11 +401,9 @@ class Writer:
 
     def write_when_due(self) -> None:
         """Write the labelled dataset if the last one is some time ago."""
-        # Early values so far are soon out of date.
         clock = time.monotonic()
-        elapsed = clock - self._begun
-        every = min(TUNED.write_every_s, max(2.0, TUNED.early_write * elapsed))
-        if clock - self._written > every and self._writing < TUNED.early_writes_s + TUNED.write_share * elapsed:
+        most = TUNED.early_writes_s + TUNED.write_share * (clock - self._begun)
+        if clock - self._written > TUNED.write_every_s and self._writing < most:
             self.write()
 
     def _as_rows(self, result: TaskResult) -> tuple[TaskResult, Rows]:
@@ -760,8 +764,10 @@ class Session:
             writer.pending.most_blocks = min(failing.most_at_once or most_blocks, most_blocks)
             study, is_missing, keep = self.study, self.accumulator.is_missing, writer.store.keep
             results = execute(lambda n: [Batch(study, some, is_missing, keep) for some in writer.pending.take(n)])
-            if pending.blocks and (not study.experiment.says_cost or pending.cost > TARGET):
+            if pending.blocks and (not study.experiment.says_cost or pending.cost > LONG):
                 writer.write()  # a labelled, if empty, dataset from the start, while workers begin
+            elif pending.cost > TARGET:  # now, while workers begin: its end would wait for it
+                import_module("zarr.storage")
             with writer:
                 for batch, result in results:
                     if result.refused:
