@@ -386,11 +386,6 @@ class Setup:
         return self.n_obj * (drawn and bool(self.satellite)), self.n_obj * (drawn and bool(self.reference))
 
     @property
-    def kind(self) -> Hashable:
-        """What links have in common that are solved together."""
-        return len(self.truth), self.scenario.weighting, self.scenario.method, self.measured, bool(self.reference)
-
-    @property
     def counted(self) -> Array:
         """1 for each observable that is measured, 0 for the others; shape (4,)."""
         return np.repeat(self.measured, 2).astype(float)
@@ -429,7 +424,7 @@ def prepare(scenario: Scenario, catalogue: Catalogue, vectors: Array, shared: Pr
     truth, differences = np.concatenate([*vectors, *glide]), _differences(scenario, catalogue, vectors, shared)
     setup = Setup(scenario, catalogue, truth, differences, reference, satellite, sigma, kinds, stack)
     models = scenario.reference_errors, scenario.satellite_errors
-    if by_object and scenario.zonal is None and all(model.is_elementwise for model in models):
+    if by_object and satellite.field is None and all(model.is_elementwise for model in models):
         shared.setups.append(setup)
     return setup
 

@@ -84,8 +84,9 @@ def _simulate(
     order = sorted(range(len(drawn)), key=lambda k: -len(drawn[k][0]))
     setups = {k: prepare(scenarios[k], *drawn[k], prefixes, stack) for k in order}
     alike: dict[Hashable, list[int]] = {}
-    for k, setup in setups.items():
-        alike.setdefault(setup.kind, []).append(k)
+    for k, one in setups.items():
+        kind = len(one.truth), one.scenario.weighting, one.scenario.method, one.measured, bool(one.reference)
+        alike.setdefault(kind, []).append(k)
     groups = [_Group([setups[k] for k in some], prefixes, n_sim, keep_estimates) for some in alike.values()]
     paths = [path for group in groups for path in group.paths]
     noisy = [path for path in paths if isinstance(path, NoisyDesign)]
@@ -118,13 +119,6 @@ def _simulate(
 Path = FixedDesign | NoisyDesign | Projected
 
 
-def _path(design: FixedDesign) -> Path:
-    """Return how a point gets its estimates."""
-    if design.setup.scenario.method == "projected":
-        return Projected(design)
-    return NoisyDesign(design.setup) if design.setup.reference else design
-
-
 def _begun(
     path: Path, rows: int, rng: np.random.Generator, field_rng: np.random.Generator, shared: SharedSums
 ) -> Solved:
@@ -146,7 +140,11 @@ class _Group:
         self.setups, self.n_sim, self.shape = setups, n_sim, self.matrices.condition_number.shape
         self.covariance = np.stack([design.predicted_covariance() for design in designs]) / MAS**2
         self.chi2_variance = np.stack([design.chi2_variance() for design in designs])
-        self.paths = [_path(design) for design in designs]
+        self.paths: Sequence[Path] = designs
+        if setups[0].scenario.method == "projected":
+            self.paths = [Projected(design) for design in designs]
+        elif setups[0].reference:
+            self.paths = [NoisyDesign(setup) for setup in setups]
         self.error, self.chi2 = np.zeros_like(self.matrices.bias), np.zeros(self.shape)
         self.products = np.zeros_like(self.covariance)
         self.kept: list[Array] | None = [] if keep_estimates else None

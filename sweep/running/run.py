@@ -43,11 +43,6 @@ from linksweep.sweep.tables.reader import from_frame
 OLD = "old"
 """What a condition calls points that were made by other code than today's."""
 
-LONG = 2.0**32
-"""Random numbers of a run, some ten seconds on a few cores, from which on its store has a dataset before its first
-results.
-"""
-
 AGAIN = "is to be computed again where "
 """With which the reason begins why a point is not done that a run was to compute again."""
 
@@ -764,9 +759,10 @@ class Session:
             writer.pending.most_blocks = min(failing.most_at_once or most_blocks, most_blocks)
             study, is_missing, keep = self.study, self.accumulator.is_missing, writer.store.keep
             results = execute(lambda n: [Batch(study, some, is_missing, keep) for some in writer.pending.take(n)])
-            if pending.blocks and (not study.experiment.says_cost or pending.cost > LONG):
-                writer.write()  # a labelled, if empty, dataset from the start, while workers begin
-            elif pending.cost > TARGET:  # now, while workers begin: its end would wait for it
+            # A labelled, if empty, dataset from the start, but not where that makes the workers wait in a short run.
+            if pending.blocks and (not study.experiment.says_cost or pending.cost > 256 * TARGET):
+                writer.write()
+            elif pending.cost > TARGET:  # now, while workers begin: the end of the run would wait for it
                 import_module("zarr.storage")
             with writer:
                 for batch, result in results:
