@@ -134,8 +134,7 @@ def test_a_function_that_cannot_be_pickled_is_computed_in_a_child(tmp_path):
                 return {"text": file.read(), "process": float(os.getpid())}
 
         ds = run(f, tmp_path / "s.zarr", axes={"x": [1.0, 2.0]})
-    assert ds.text.values.tolist() == ["the content"] * 2
-    assert os.getpid() not in ds.process.values
+    assert (ds.text.values.tolist(), os.getpid() in ds.process.values) == (["the content"] * 2, False)
     assert len(set(ds.process.values.tolist())) == 1  # it lives on
 
 
@@ -177,8 +176,7 @@ def test_what_a_child_leaves_running_does_not_keep_the_run(tmp_path):
 
     ds = run(f, tmp_path / "s.zarr", axes={"x": [1.0, 2.0]})
     ended.touch()
-    assert ds.status.values.tolist() == [2, 1]
-    assert not waited.exists()
+    assert (ds.status.values.tolist(), waited.exists()) == ([2, 1], False)
 
 
 @pytest.mark.slow
@@ -270,8 +268,7 @@ def test_what_a_point_changes_is_put_back_for_the_others(change, options, here):
         warnings.simplefilter("ignore")
         ds = run(f, "s.zarr", axes={"x": [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]}, **options)
     assert ds.f.values.tolist() == [expected, "changed", expected, expected, "changed", expected]
-    assert before == outside()
-    assert (here / "s.zarr").is_dir()
+    assert (before, (here / "s.zarr").is_dir()) == (outside(), True)
 
 
 @pytest.mark.parametrize("options", [{"pool": "threads", "workers": 2}, slow({"workers": 2}), {}], ids=str)
@@ -282,8 +279,7 @@ def test_global_generators_give_the_same_on_all_pools_and_another_number_at_each
     places = {"s.zarr": {"pool": "serial"}, "other.zarr": options}
     runs = [run(f, tmp_path / s, axes=THREE, sampling={"n_sim": 10, "seed": 3}, **o) for s, o in places.items()]
     values, others = (ds.f_mean.values.tolist() for ds in runs)
-    assert len(set(values)) == 3
-    assert others == values
+    assert (len(set(values)), others) == (3, values)
 
 
 @pytest.fixture

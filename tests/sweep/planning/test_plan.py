@@ -212,8 +212,7 @@ def test_a_point_gets_what_the_worst_of_its_results_needs_at_once(headlines, exp
         each = [accumulator.add(point, block, row([block.realisations], accumulator)) for block in blocks]
         blocks = [block for more in each for block in more]
         reached.append(int(accumulator.realisations[0]))
-    assert accumulator.status[0] == Status.DONE
-    assert reached == expected
+    assert (accumulator.status[0], reached) == (Status.DONE, expected)
 
 
 def test_blocks_are_added_in_their_own_order_whatever_that_of_their_arrival():

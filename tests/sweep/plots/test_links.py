@@ -121,8 +121,7 @@ def test_right_ascension_grows_to_the_left():
     dataset = xr.Dataset({"ra": ("object", [170.0, 180.0, 190.0]), "dec": ("object", [0.0, 10.0, -20.0])})
     [axes] = sky.sky_figure(dataset).axes
     x, y = np.asarray(axes.collections[0].get_offsets()).T
-    assert x == pytest.approx(np.deg2rad([10.0, 0.0, -10.0]))
-    assert y == pytest.approx(np.deg2rad([0.0, 10.0, -20.0]))
+    assert (x, y) == (pytest.approx(np.deg2rad([10.0, 0.0, -10.0])), pytest.approx(np.deg2rad([0.0, 10.0, -20.0])))
     labels = [text for text in axes.texts if text.get_text().endswith("°")]
     assert [text.get_text() for text in labels] == ["300°", "240°", "180°", "120°", "60°"]
     assert min(text.get_zorder() for text in labels) > axes.collections[0].get_zorder()  # not under the dots

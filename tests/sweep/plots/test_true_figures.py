@@ -68,8 +68,7 @@ def test_a_study_chooses_and_a_call_overrides_it(tmp_path):
     study = {"experiment": lambda width: {"area": width**2}, "axes": {"width": [1.0, 2.0, 3.0, 4.0]}}
     study["figure"] = {"log": ["width", "area"]}
     dataset = linksweep.run(study, tmp_path / "a.zarr", pool="serial")
-    assert scales(dataset) == ("log", "log")
-    assert scales(dataset, linear=["area"]) == ("log", "linear")
+    assert (scales(dataset), scales(dataset, linear=["area"])) == (("log", "log"), ("log", "linear"))
     again = linksweep.run(study | {"figure": {"linear": ["area"]}}, tmp_path / "a.zarr", pool="serial")
     assert scales(again) == ("linear", "linear")
     assert "scale" not in again["area"].attrs

@@ -246,8 +246,7 @@ def test_a_range_holds_for_map_and_table_and_can_be_gone_back_from(show, store_o
     turn(driver, driver.back)
     assert drawn(driver)["x"] == "v_max [mag]"
     turn(driver, driver.find_element("name", "all").click)
-    assert len(rows_shown(driver)) == 26
-    assert complaints(driver) == []
+    assert (len(rows_shown(driver)), complaints(driver)) == (26, [])
 
 
 def test_a_day_is_told_from_the_next_and_what_nobody_asked_for_is_not_missing(show, tmp_path):

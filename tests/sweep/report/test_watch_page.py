@@ -117,8 +117,7 @@ def test_the_server_answers_on_loopback_alone(beside, tmp_path):
         idle.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
     time.sleep(0.5)
     process.send_signal(signal.SIGINT)
-    assert process.wait(PATIENCE_S) == 0
-    assert process.stderr.read() == "Ctrl-C ends it\n"
+    assert (process.wait(PATIENCE_S), process.stderr.read()) == (0, "Ctrl-C ends it\n")
     assert list(tmp_path.iterdir()) == []
 
 

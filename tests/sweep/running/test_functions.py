@@ -62,8 +62,7 @@ def test_integers_beside_points_that_failed_are_missing_there_and_exact_in_the_f
         np.testing.assert_array_equal(plain[name], ds[name].astype(plain[name].dtype))
     assert [y for y in ds.y.values.tolist() if y == y] == [2**60, 2**60 + 2]  # noqa: PLR0124 (NaN)
     exact = xr.open_zarr(tmp_path / "s.zarr", mask_and_scale=False)
-    assert exact.y.dtype == np.int64
-    assert exact.y.values.tolist() == [2**60, exact.y.attrs["_FillValue"], 2**60 + 2]
+    assert (exact.y.dtype, exact.y.values.tolist()) == (np.int64, [2**60, exact.y.attrs["_FillValue"], 2**60 + 2])
 
 
 def test_statistics_extend_to_the_bits_of_one_run(tmp_path):

@@ -141,8 +141,7 @@ def test_what_a_finaliser_swallows_comes_again_and_cleaning_up_is_not_interrupte
                 time.sleep(LOST_S / 2)
             steps.append("clean")
 
-    assert ended_as(body) == signal.SIGINT
-    assert steps == ["clean"]
+    assert (ended_as(body), steps) == (signal.SIGINT, ["clean"])
 
 
 def test_an_ignored_signal_stays_ignored():  # under nohup a run goes on when the terminal is closed

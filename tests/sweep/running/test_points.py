@@ -67,8 +67,7 @@ def test_a_table_grows_at_its_end_and_is_refused_where_old_rows_change(tmp_path)
     assert OpenStore(store).attributes["generation"] == before
     assert run(model, store, points={"x": [1.0]}).y.values.tolist() == more.y.values[:1].tolist()
     same = run(model, store, points={"x": [1.0, 2.0, 3.0], "k": [1, 1, 1]})
-    assert same.y.values.tolist() == more.y.values.tolist()
-    assert len(calls) == 3
+    assert (same.y.values.tolist(), len(calls)) == (more.y.values.tolist(), 3)
     assert run(model, store, points={"x": [9.0]}, fresh=True).y.values.tolist() == [1.9]
 
 
@@ -205,8 +204,7 @@ def test_rows_of_any_labels_grow_are_corrected_and_come_together_from_parts(tmp_
     for store in ("grown.zarr", "parts.zarr"):
         again = linksweep.open(folder / store)
         assert again.y_mean.values.tobytes() == whole.y_mean.values.tobytes()
-        assert again.x.values.tolist() == columns["x"]
-        assert str(again.label.values.tolist()) == str(got)
+        assert (again.x.values.tolist(), str(again.label.values.tolist())) == (columns["x"], str(got))
 
 
 def test_points_beside_a_table_have_no_labels(tmp_path):

@@ -143,8 +143,7 @@ def test_looking_writes_nothing_and_what_is_damaged_or_replaced_meanwhile_is_sai
     finally:
         for folder, _, _ in os.walk(tmp_path):
             os.chmod(folder, 0o755)
-    assert (code, "6 of 6 points done" in out) == (0, True)
-    assert files_of(tmp_path) == before
+    assert (code, "6 of 6 points done" in out, files_of(tmp_path)) == (0, True, before)
     part.rename(tmp_path / "away")
     with opening.locked(store):  # from the first look on
         watched = look(store)

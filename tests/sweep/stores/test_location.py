@@ -38,8 +38,7 @@ def test_only_one_of_many_creates_or_swaps_a_file(place):
     location = located(place)
     with ThreadPoolExecutor(8) as pool:
         made = list(pool.map(lambda i: location.create("lock", bytes([i])), range(24)))
-        assert sum(made) == 1
-        assert location.get("lock") == bytes([made.index(True)])
+        assert (sum(made), location.get("lock")) == (1, bytes([made.index(True)]))
         for turn in range(5):
             location.put("lock", b"stale")
             swapped = list(pool.map(lambda i: location.swap("lock", b"stale", bytes([i])), range(24)))
@@ -62,8 +61,7 @@ def test_a_file_that_was_replaced_by_an_equal_one_is_not_swapped(tmp_path, monke
         flock(descriptor, operation)
 
     monkeypatch.setattr(fcntl, "flock", late)
-    assert not place.swap("lock", b"old", b"new")
-    assert place.get("lock") == b"old"
+    assert (place.swap("lock", b"old", b"new"), place.get("lock")) == (False, b"old")
     monkeypatch.undo()
     assert place.swap("lock", b"old", b"new")
 
@@ -171,8 +169,7 @@ def test_a_store_may_itself_be_a_link_and_its_lock_may_not(store, tmp_path, swee
     link = tmp_path / "elsewhere" / "link.zarr"
     link.symlink_to(store)
     assert (Folder(link).name, Folder(link).parent) == ("s.zarr", Folder(tmp_path))  # one lock
-    assert enlarge().attrs["complete"] == 1
-    assert linksweep.open(link).sizes["k"] == 3
+    assert (enlarge().attrs["complete"], linksweep.open(link).sizes["k"]) == (1, 3)
     (tmp_path / "s.zarr.lock").symlink_to(tmp_path / "nowhere")
     assert "s.zarr.lock is a symbolic link" in sweep("status", store, code=2)[2]
     with pytest.raises(SweepError, match=r"s\.zarr\.lock is a symbolic link"):

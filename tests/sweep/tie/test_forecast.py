@@ -138,8 +138,7 @@ def test_errors_are_scaled_from_the_release_that_has_the_epoch(folder, pair):
     np.testing.assert_allclose(plan.error.sel(stage=new), errors_by_hand(folder, old, old, new), rtol=1e-9)
     now = planned(folder, old, "table", epoch=EPOCH[new])  # at the epoch of the others
     np.testing.assert_allclose(plan.error.sel(stage="now"), now.error.sel(stage="now"), rtol=1e-9)
-    assert plan.attrs["from_release"] == old
-    assert plan.attrs["epoch_of_forecast"] == EPOCH[new]
+    assert (plan.attrs["from_release"], plan.attrs["epoch_of_forecast"]) == (old, EPOCH[new])
     assert any(f"scaled from {old} ({EPOCH[old]:g}) to {new}" in note for note in plan.attrs["notes"])
     assert any("Hipparcos" in note for note in plan.attrs["notes"]) == ("dr1" in pair)
 
