@@ -99,7 +99,7 @@ def nearest(word: str, known: Sequence[str]) -> str:
 
 def suggest(word: str, known: Sequence[str]) -> str:
     """Return what `nearest` does, or else the list of known words if it is short."""
-    return nearest(word, known) or (f"; known are {', '.join(sorted(known))}" if len(known) <= FEW else "")
+    return nearest(word, known) or (f"; known are {', '.join(sorted(known))}" if 0 < len(known) <= FEW else "")
 
 
 # Recognised without astropy, whose import takes longer than a command that needs nothing else from it.
@@ -397,7 +397,7 @@ class Parameter:
         whole = self.kind == "int" if whole is None else whole
         if isinstance(raw, int | float) and not isinstance(raw, bool) and abs(raw) < HUGE:  # refuses NaN too
             if whole and abs(raw) > LARGEST_INT:
-                raise self._refused(raw, ", of 64 bits at most")
+                raise self._refused(raw, ", below 2**63 in size")
             number = float(raw) + 0.0  # no negative zero: it would be another point
             low = self.minimum is not None and number < self.minimum
             low |= self.above is not None and number <= self.above

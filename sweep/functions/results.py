@@ -129,7 +129,7 @@ def layout_differences(expected: Layout, other: Layout) -> tuple[str, ...]:
     """
     wanted, names = ([field.name for field in layout.fields] for layout in (expected, other))
     extra = [name for name in names if name not in wanted]
-    phrases = [f"{name!r} is missing{suggest(name, extra) if extra else ''}" for name in wanted if name not in names]
+    phrases = [f"{name!r} is missing{suggest(name, extra)}" for name in wanted if name not in names]
     phrases += [f"{name!r} was not returned by the first point" for name in extra]
     before, now = _facts(expected), _facts(other)
     phrases += [
@@ -323,7 +323,7 @@ def _of_objects(array: NDArray[Any]) -> tuple[Type, NDArray[Any]]:
     if "int" in types:
         whole = [int(e) for e in elements if kinds[type(e)] == "int"]
         if large := [n for n in whole if not -(2**63) <= n < 2**63]:
-            raise ResultError(f"is {shown(large[0])}; integers have 64 bits at most")
+            raise ResultError(f"is {shown(large[0])}; integers are below 2**63 in size")
         if len(types) > 1 and (beyond := beyond_floats(whole)) is not None:
             raise ResultError(f"has {beyond}, an integer beyond 2**53, beside floats, which cannot hold it")
         return ("float", array.astype("f8")) if len(types) > 1 else ("int", array.astype("i8"))

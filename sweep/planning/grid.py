@@ -297,6 +297,10 @@ def make_grid(study: Study) -> Grid:
         sentences += [f"{name} = {shown(study.fixed[name])} changes nothing: {why}" for name, why in idle.items()]
     if sentences:
         raise SweepError(sentences, study.source)
+    values = {name: (value,) for name, value in study.experiment.defaults().items()} | values | study.places
+    for one in (condition for clause in study.excluded for condition in clause):
+        if not any(map(one.holds, values[one.name])):
+            grid.warnings.append(f"exclude: no point has such a value of {one.name}, so that it leaves out none")
     grid.warnings.extend(remarks({} if study.points is None else study.points.origin))
     grid.warnings.extend(_with_points(warnings, "warnings"))
     return grid

@@ -314,7 +314,7 @@ def with_scales(dataset: xr.Dataset, log: Sequence[str] = (), linear: Sequence[s
     numbers = {str(name): array for name, array in dataset.variables.items() if array.dtype.kind in "if"}
     known = [name for name, array in numbers.items() if not formatting.is_truth(array)]
     if wrong := [name for name in (*log, *linear) if name not in known]:
-        raise SweepError(f"{shown(wrong[0])} has no scale to choose{suggest(wrong[0], known) if known else ''}")
+        raise SweepError(f"{shown(wrong[0])} has no scale to choose{suggest(wrong[0], known)}")
     if both := set(log) & set(linear):
         raise SweepError(f"{min(both)} cannot have both a logarithmic and a linear axis")
     study = form_of(dataset)

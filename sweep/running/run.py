@@ -35,6 +35,7 @@ from linksweep.sweep.running.results import Labelled, add_covariances, assemble,
 from linksweep.sweep.stores.ledger import Record
 from linksweep.sweep.stores.location import Where, locked, writing
 from linksweep.sweep.stores.store import BLOCKS, CODE, OpenStore, Store, create_store, replace_store, seen, store_at
+from linksweep.sweep.studies.reader import problems_of_results
 from linksweep.sweep.studies.record import RECORD, as_recorded, provenance, recorded, recorded_study
 from linksweep.sweep.studies.study import PART, Study
 from linksweep.sweep.tables.columns import content_digest, rows_where
@@ -338,7 +339,8 @@ class Writer:
     ) -> None:
         """Start with an open store whose ledger the accumulator holds; ``further`` attributes go into the dataset."""
         plan = accumulator.plan
-        require_other_labels(plan.grid.study)
+        if problems := problems_of_results(plan.grid.study):
+            raise _RefusedError(problems, plan.grid.study.source)
         self.accumulator, self.store = accumulator, store
         self.pending = Pending(plan, accumulator)
         self._postponed = postponed
@@ -419,7 +421,8 @@ class Writer:
         The root document says so before the ledger has such rows, so that what is killed in between can go on.
         """
         study = replace(self.plan.grid.study, experiment=experiment)
-        require_other_labels(study)
+        if problems := problems_of_results(study):
+            raise _RefusedError(problems, study.source)
         dtype = experiment.reducer.dtype
         done = np.flatnonzero(self.accumulator.status == Status.DONE)
         for place, why in lost_integers(self.accumulator.total[done], dtype).items():
@@ -595,14 +598,6 @@ class Writer:
         place = describe(self.plan.grid.study, point.parameters)
         where = {} if block is None else {BLOCK: f"{block.group} {block.part}"}
         self.store.fail(point.digest, {"place": place, **vars(failure), **where, "host": host(), "when": now()})
-
-
-def require_other_labels(study: Study) -> None:
-    """Raise SweepError for a label of the points that has the name of a result or its dimension."""
-    outputs = (*study.experiment.outputs, *study.experiment.sample_outputs)
-    for name in study.points.labels if study.points else ():
-        if any(name == output.name or name in output.dims for output in outputs):
-            raise _RefusedError(f"{name} is a label and the name of a result or its dimension: rename the column")
 
 
 def size_of(works: Sequence[Work], points: int) -> PlanSize:

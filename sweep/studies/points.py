@@ -70,6 +70,7 @@ def _lines_of_keys(text: str) -> dict[KeyPath, int]:
         if header := re.match(r"\s*(\[\[?)\s*([\w.\"' -]+?)\s*\]\]?\s*(?:#.*)?$", line):
             counts[header[2]] = index = counts.get(header[2], -1) + 1
             table = tuple(part.strip(" \"'") for part in header[2].split("."))
+            lines.setdefault(table, number)
             table = (*table, index) if header[1] == "[[" else table
             lines[table] = number
         elif entry := re.match(r"\s*([\w.\"'-]+)\s*=", line):

@@ -598,6 +598,20 @@ class _Reader:
         return function
 
 
+def problems_of_results(study: Study) -> list[str]:
+    """Return what is wrong in what a study says of results, once it is known which there are."""
+    problems = Problems(study.source, study.text)
+    figure = {key: some for key, some in study.document.get("figure", {}).items() if key != "at"}
+    context = Context(study.experiment, {}, (), frozenset(), frozenset())
+    _read_form({"title": "", "figure": figure}, problems, context)
+    outputs = (*study.experiment.outputs, *study.experiment.sample_outputs)
+    for name in study.points.labels if study.points else ():
+        if any(name == output.name or name in output.dims for output in outputs):
+            words = f"{name} is a label and the name of a result or its dimension: rename the column"
+            problems.add(("points", "labels"), words)
+    return problems.sentences
+
+
 def _read_form(
     document: Mapping[str, Any], problems: Problems, context: Context | None = None
 ) -> Form | set[str | int]:

@@ -86,7 +86,7 @@ def recorded_study(attributes: Mapping[str, Any], where: str, *, whole: bool = F
         code = Recorded(_experiment(json.loads(attributes[RECORD])))
         document = json.loads(attributes["study_document"])
         # what would load code, or be wrong where outputs are not known; results have attributes of their own for it
-        for key in ("define",) if whole else ("define", "published", "claim", "conclusion"):
+        for key in ("define",) if whole else ("define", "published", "claim", "conclusion", "figure"):
             document.pop(key, None)
         study = study_of_attributes({**attributes, "study_document": json.dumps(document)}, where, code)
         return replace(study, document=json.loads(attributes["study_document"])) if whole else study

@@ -169,7 +169,7 @@ def _variable(name: str, context: Context) -> str:
     if context.experiment.undeclared and name not in context.experiment.defaults():
         return name  # what it is not is said where numbers are compared
     if name not in outputs or name in context.axes:
-        raise ValueError(f"{shown(name)} is no output{suggest(name, list(outputs)) if outputs else ''}")
+        raise ValueError(f"{shown(name)} is no output{suggest(name, list(outputs))}")
     if len(dims := outputs[name].dims) > 1:
         raise ValueError(f"{name} has the dimensions {', '.join(dims)}; at most one is allowed")
     return name
@@ -210,7 +210,7 @@ def _zip(group: list[str], context: Context) -> list[str]:
     known = [name for name, values in context.axes.items() if values is not None]  # others may hold control characters
     for name in group:
         if name not in context.axes:
-            raise ValueError(f"{shown(name)} is not an axis{suggest(name, known) if known else ''}")
+            raise ValueError(f"{shown(name)} is not an axis{suggest(name, known)}")
     lengths = {name: len(values) for name in group if (values := context.axes[name]) is not None}
     if len(group) < 2 or len(set(group)) < len(group) or len(set(lengths.values())) > 1:
         sizes = ", ".join(f"{name} has {n}" for name, n in lengths.items())
@@ -244,6 +244,7 @@ def _sentence(text: str) -> str:
 Seed = Annotated[int, Field(ge=0, lt=2**64)]
 Count = Annotated[int, Field(ge=1, le=10**9)]
 Tolerance = Annotated[float, Field(gt=0.0, lt=1.0)]
+Several = Annotated[list[Any], Field(min_length=1)]
 Text = Annotated[str, AfterValidator(_plain)]
 """A sentence for people, in one line."""
 
@@ -575,7 +576,7 @@ class Form(Section):
     points: PointsForm | None = None
     exclude: list[Annotated[dict[str, Any], Field(min_length=1), _each(_condition)]] = Field(default_factory=list)
     counts: dict[str, Annotated[int, Field(ge=0, le=10**9)]] = Field(default_factory=dict)
-    when: dict[str, Annotated[dict[str, list[Any]], Field(min_length=1)]] = Field(default_factory=dict)
+    when: dict[str, Annotated[dict[str, Several], Field(min_length=1)]] = Field(default_factory=dict)
     published: PublishedForm | None = None
     claim: list[Claim] = Field(default_factory=list)
     conclusion: Conclusion | None = None

@@ -183,6 +183,8 @@ def test_what_is_no_label_is_refused_by_name(tmp_path):
     ):
         with pytest.raises(SweepError, match=words):
             run(noisy, tmp_path / "s.zarr", rows, labels)
+        with pytest.raises(SweepError, match=r"figure.log.0: 'z' is neither"):
+            run({"experiment": noisy, "figure": {"log": ["z"]}, "axes": {"x": [1.0]}}, tmp_path / "s.zarr")
         assert not (tmp_path / "s.zarr").exists()
 
 

