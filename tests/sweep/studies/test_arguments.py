@@ -44,10 +44,9 @@ def test_options_that_go_together():
     assert load_study("quasars", settings=["n_sim=2000000", "precision=0.5"]).sampling.most == 2_000_000
     with pytest.raises(SweepError, match="no headline result X has an error"):
         load_study(COINS, ["precision=0.5"])
-    study = load_study("quasars", ["points.seed=4"], design="sobol:8", ranges=["error_scale=1:2"])
-    assert study.points.origin["seed"] == 4
-    study = load_study("quasars", axes=["""model="amex",'gaia'"""])
-    assert study.axes["model"] == ("amex", "gaia")
+    options = {"design": "sobol:8", "ranges": ["error_scale=1:2"]}
+    assert load_study("quasars", ["points.seed=4"], **options).points.origin["seed"] == 4
+    assert load_study("quasars", axes=["""model="amex",'gaia'"""]).axes["model"] == ("amex", "gaia")
 
 
 @given(st.text(max_size=40))
