@@ -244,13 +244,16 @@ def split_assignment(text: str) -> tuple[str, str]:
 
 
 def to_json(value: Any) -> str:
-    """Return JSON for programs: numbers that are not finite are null; arrays, dataclasses and paths are allowed.
+    """Return JSON for programs: NaN is null, and infinity a text; arrays, dataclasses and paths are allowed.
 
     Examples:
-        >>> print(to_json({"sigma": float("nan"), "n": 3}))
+        >>> print(to_json({"sigma": float("nan"), "n": [3, -inf]}))
         {
          "sigma": null,
-         "n": 3
+         "n": [
+          3,
+          "-Infinity"
+         ]
         }
     """
     from pydantic_core import to_jsonable_python
@@ -258,7 +261,8 @@ def to_json(value: Any) -> str:
     def listed(other: Any) -> Any:
         return other.tolist() if hasattr(other, "tolist") else str(other)  # of NumPy
 
-    return json.dumps(to_jsonable_python(value, inf_nan_mode="null", fallback=listed), indent=1, allow_nan=False)
+    text = json.dumps(to_jsonable_python(value, inf_nan_mode="constants", fallback=listed))
+    return json.dumps(json.loads(text, parse_constant=lambda one: None if one == "NaN" else one), indent=1)
 
 
 class Prefixed(NamedTuple):
@@ -280,6 +284,8 @@ def prefixed(values: Any, unit: str) -> Prefixed:
         Prefixed(unit='uas / yr', factor=1000.0)
         >>> prefixed(0.65, "mas / yr"), prefixed(0.002, "d")
         (Prefixed(unit='mas / yr', factor=1.0), Prefixed(unit='d', factor=1.0))
+        >>> prefixed([1e-320, 1.0], "m / s")
+        Prefixed(unit='nm / s', factor=1000000000.0)
     """
     here = Prefixed(unit, 1.0)
     choices = _choices(unit)
@@ -329,6 +335,8 @@ def _sizes(values: Any) -> list[float]:
 
 def _zeros(size: float) -> float:
     """Return how many zeros, or digits beyond the third, a number has."""
+    if not 0.0 < size < inf:  # it does not fit into a float with this prefix
+        return inf
     return log10(LEAST / size) if size < LEAST else log10(size / MOST) + 1.0 if size >= MOST else 0.0
 
 

@@ -1,7 +1,7 @@
 """The one table that everything prints: columns, and its writers for the terminal, CSV, ECSV and JSON.
 
 Text of functions, tables and stores is made harmless here: the terminal and CSV get no control characters, and no cell
-of CSV begins a formula.  JSON and ECSV have it exactly.
+of CSV begins a formula.  JSON has it exactly.
 """
 
 import csv
@@ -150,7 +150,7 @@ class Table:
         return out.getvalue()
 
     def json(self) -> str:
-        """Return JSON with what the table is about and one object per row; a number that is not finite is null."""
+        """Return JSON with what the table is about and one object per row, as `to_json` has it."""
         names = [column.name for column in self.columns]
         # row by row: dictionaries of all points would take more memory than everything else
         rows = ",\n".join(textwrap.indent(to_json(dict(zip(names, row, strict=True))), "  ") for row in self.rows)

@@ -4,6 +4,7 @@ from __future__ import annotations  # names of xarray, which is imported only wh
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from math import inf
 from string import Formatter
 from typing import TYPE_CHECKING
 
@@ -23,7 +24,6 @@ MOST_SHORT = 3  # quantities in a short answer
 ERRORS_ALLOWED = 3.0  # a value agrees with its prediction if it differs by at most this many of its errors
 VISIBLE_FACTOR = 1.005  # an axis that changes a quantity by a smaller factor is not mentioned
 ROUNDING = 1e-12  # values that differ by a smaller share are equal except for rounding
-NOTHING_YET = "No point has a value yet."
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ def _sentences(part: xr.Dataset, variable: str, unit: str, decided: str | None) 
     values = array.values.astype(float, copy=False)
     known = np.isfinite(values)
     if not known.any():
-        yield NOTHING_YET
+        yield "It is a finite number at no point that is done."
         return
     if formatting.is_truth(array):
         points = formatting.counted(int(known.sum()), "point")
@@ -159,7 +159,9 @@ def _range(part: xr.Dataset, array: xr.DataArray, errors: Array, unit: str) -> s
     indices = (map(int, np.unravel_index(flat, array.shape)) for flat in (low, high))
     places = [quantity.place_at(part, dict(zip(map(str, array.dims), i, strict=True))) for i in indices]
     least, largest = (quantity.place_in_words(place, part) for place in places)
-    points = formatting.counted(len(known), "point" if len(array.dims) == len(part["status"].dims) else "value")
+    is_of_points, done = len(array.dims) == len(part["status"].dims), int((part["status"].values == Status.DONE).sum())
+    points = formatting.counted(len(known), "point" if is_of_points else "value")
+    points = f"{len(known):,} of {done:,} points" if is_of_points and done > len(known) else points
     if values[low] == values[high]:
         return f"It is {number[0]} at {points if len(known) > 1 else least}{doubt}."
     return f"It is between {number[0]} ({least}) and {number[1]} ({largest}), over {points}{doubt}."
@@ -167,12 +169,15 @@ def _range(part: xr.Dataset, array: xr.DataArray, errors: Array, unit: str) -> s
 
 def _what_changes_it(axes: list[str], values: Array, unit: str) -> Iterator[str]:
     """Yield by what a quantity changes at most along each axis, all else being equal: a factor where it is above 0."""
-    is_factor, span = np.nanmin(values) > 0.0, np.nanmax(values) - np.nanmin(values)
+    is_factor = np.nanmin(values) > 0.0
     change = np.divide if is_factor else np.subtract
-    changes = {d: np.nanmax(change(np.fmax.reduce(values, i), np.fmin.reduce(values, i))) for i, d in enumerate(axes)}
+    with np.errstate(over="ignore"):  # a change that is no float is not said
+        span = np.nanmax(values) - np.nanmin(values)
+        ends = {d: (np.fmax.reduce(values, i), np.fmin.reduce(values, i)) for i, d in enumerate(axes)}
+        changes = {d: np.nanmax(change(*both)) for d, both in ends.items()}
     changes.pop(POINT, None)  # points differ in several parameters at once
     least = VISIBLE_FACTOR if is_factor else (VISIBLE_FACTOR - 1.0) * span
-    order = sorted((d for d in changes if changes[d] >= least and span > 0.0), key=lambda d: -changes[d])
+    order = sorted((d for d in changes if inf > changes[d] >= least and span > 0.0), key=lambda d: -changes[d])
     by, unit = ("a factor of up to ", "") if is_factor else ("up to ", unit)
     words = [f"{d} by {by}{formatting.in_short(float(changes[d]), 0.0, unit)}" for d in order]
     if words:

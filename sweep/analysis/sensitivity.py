@@ -253,6 +253,7 @@ def weights_of_degree(degree: int, n: int) -> Array:
     return np.asarray(spline.integrate(0.0, 1.0))
 
 
+@np.errstate(over="ignore", invalid="ignore")  # then they are not known
 def _indices(values: Array, noise: Array, weights: Sequence[Array]) -> Array:
     """Return first-order and total indices, (2, axes)."""
     whole = _variance(values, noise, weights, ())

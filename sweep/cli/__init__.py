@@ -32,7 +32,7 @@ from click.shell_completion import CompletionItem
 
 import linksweep
 from linksweep.sweep.executing.pools import MOST_WORKERS
-from linksweep.sweep.formatting import COMMAND, WIDTH, harmless
+from linksweep.sweep.formatting import COMMAND, ESCAPED, WIDTH, harmless
 from linksweep.sweep.interrupt import SIGNALS, RunInterruptedError, how_ended, watched
 from linksweep.sweep.studies import built_in_studies
 
@@ -394,14 +394,15 @@ class _Group(click.Group):
             click.echo(f"{hint}see {command} --help", err=True)
             sys.exit(error.exit_code)
         except linksweep.SweepError as error:
-            where, problems = f"{error.where}: " if error.where else "", error.problems
+            where, problems = f"{error.where.translate(ESCAPED)}: " if error.where else "", error.problems
             click.echo(f"error: {where}{problems[0] if len(problems) == 1 else f'{len(problems)} problems'}", err=True)
             for problem in problems if len(problems) > 1 else ():
                 click.echo(f"  - {problem}", err=True)
             sys.exit(error.exit_code)
 
 
-@click.group(cls=_Group, context_settings={"help_option_names": ["-h", "--help"]})
+# Click would drop terminal sequences where there is no terminal: they are escaped, as all control characters are.
+@click.group(cls=_Group, context_settings={"help_option_names": ["-h", "--help"], "color": True})
 @click.version_option(package_name="linksweep", prog_name="linksweep")
 def main() -> None:
     """Sweep Monte-Carlo simulations of a satellite's link to the extragalactic frame.
@@ -590,6 +591,11 @@ def put(text: str = "") -> None:
     click.echo(text, file=RESULTS[0])
 
 
+def wrote(path: object, more: str = "") -> None:
+    """Say that a file or a store was written."""
+    click.echo(f"wrote {str(path).translate(ESCAPED)}{more}", err=True)
+
+
 def print_wrapped(text: str, first: str = "", later: str = "") -> None:
     """Print a sentence in lines of the width of a terminal, the first and the later ones behind a prefix; no word is
     broken, since it may be a name.
@@ -601,7 +607,7 @@ def print_wrapped(text: str, first: str = "", later: str = "") -> None:
 
 def print_styled(text: str, **style: bool) -> None:
     """Print text in a style of ours, which it cannot change."""
-    click.secho(harmless(text), file=RESULTS[0].unescaped, **style)
+    click.secho(harmless(text), file=RESULTS[0].unescaped, color=RESULTS[0].isatty(), **style)
 
 
 def print_tables(tables: "Iterable[Table]", notes: Iterable[str] = ()) -> None:
@@ -672,4 +678,4 @@ def save_result(dataset: Any, path: Path) -> None:
 
         with (styles := drawing_styles()).settings():
             styles.save(draw_figure(dataset), path)
-    click.echo(f"wrote {path}", err=True)
+    wrote(path)

@@ -199,7 +199,7 @@ def plot(
         figure, dataset = drawn.figure()
         styles.save(figure, path, styles.caption_and_description(figure, dataset) if caption else "")
     for written in (path, path.with_suffix(".txt"))[: 1 + caption]:
-        click.echo(f"wrote {written}", err=True)
+        cli.wrote(written)
 
 
 def paper_studies(published: bool) -> "list[linksweep.Study]":
@@ -280,7 +280,7 @@ def report(
     path = output or (Path("paper-report.html") if asked.everything else default_path(asked.stores))
     check_output(path)
     write_report(report_of(asked.whole()), path)
-    click.echo(f"wrote {path}", err=True)
+    cli.wrote(path)
 
 
 @cli.command("Look", "Fit a law along an axis")

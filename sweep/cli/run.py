@@ -573,7 +573,7 @@ def merge(
 
     dataset = merge_stores(stores, output, accept_code=accept_code, trust=trust)
     cli.print_headlines(dataset, as_json)
-    click.echo(f"wrote {output}", err=True)
+    cli.wrote(output)
     if not dataset.attrs["complete"]:
         sys.exit(cli.EXIT_FAILED_POINTS)
 
@@ -639,7 +639,7 @@ def submit(
             raise linksweep.SweepError("is there already, and another one; submit it with sh, or remove it", str(file))
         folder.mkdir(parents=True, exist_ok=True)
         file.write_bytes(script)
-        click.echo(f"wrote {file}" + ("" if go else f"; submit it with: sh {typed(file)}"), err=True)
+        cli.wrote(file, "" if go else f"; submit it with: sh {typed(file)}")
         if go:
             subprocess.run(["sh", str(file)], check=True)
     except (OSError, subprocess.CalledProcessError) as error:
@@ -674,7 +674,7 @@ def new(name: str = arg(), experiment: str = EXPERIMENT) -> None:
         raise linksweep.SweepError(f"cannot be written: {error.strerror or error}", str(path)) from error
     if not is_made:
         raise linksweep.SweepError("exists already; take another name", str(path))
-    click.echo(f"wrote {path}; edit it, then: sweep plan {path}", err=True)
+    cli.wrote(path, f"; edit it, then: sweep plan {typed(path)}")
 
 
 @cli.command("Your own", "List the parameters of a study or experiment")
@@ -782,7 +782,7 @@ class Target:
             with style.settings():
                 for kind, figure in drawing.all_figures(Result(result)).items():
                     style.save(figure, self.figures / f"{kind}.png")
-                    click.echo(f"wrote {self.figures / f'{kind}.png'}", err=True)
+                    cli.wrote(self.figures / f"{kind}.png")
         cli.print_result(result, "json" if self.as_json else "text")
 
 
@@ -863,7 +863,7 @@ def apply(
 
     for note in carry(link, table, output, inverse=inverse, **asked).meta["comments"]:
         click.echo(f"note: {note}", err=True)
-    click.echo(f"wrote {output}", err=True)
+    cli.wrote(output)
 
 
 @cli.command("Your own", "Find the galaxies in a star catalogue")
@@ -897,4 +897,4 @@ def match(
     else:
         cli.print_tables(galaxy_search.summary_tables(summary), ["", *galaxy_search.summary_lines(summary)])
     for path in filter(None, (output, table, figure)):
-        click.echo(f"wrote {path}", err=True)
+        cli.wrote(path)

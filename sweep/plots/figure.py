@@ -40,6 +40,7 @@ MOST_MARKERS = 40  # more points on a line than this have no markers
 FEWEST_STEPS = 3  # of an axis, which then has colours of a ramp
 MOST_VECTORS = 2000  # more points than this are drawn as one image
 WIDE_COLOURS = 20.0  # values that span more than this factor have logarithmic colours
+LARGEST = 1e307  # beyond it, the ends of an axis or what lies between them may be no floats
 FAR = 30.0  # series whose largest values differ by more than this factor need panels with axes of their own
 
 OPEN: dict[str, Any] = {
@@ -209,13 +210,19 @@ def _is_unfinished(dataset: xr.Dataset) -> bool:
 
 
 def _require_values(dataset: xr.Dataset, names: list[str]) -> None:
-    """Raise SweepError for components of several units, which cannot share an axis, and where none has a value."""
+    """Raise SweepError for components of several units, which cannot share an axis, for numbers of which matplotlib
+    cannot make an axis, and where none has a value.
+    """
     for name in names:
         for dimension in dataset[name].dims:
             units = dataset.coords.get(f"{dimension}_unit", xr.DataArray([""]))
             if len(several := dict.fromkeys(units.values.tolist())) > 1:
                 how = f"choose one with --at {dimension}={dataset[dimension].values[0]}"
                 raise SweepError(f"{name} has components in {' and '.join(several)}; {how}")
+    for name in [n for n in (*names, *map(str, dataset.coords)) if dataset[n].dtype.kind == "f"]:
+        sizes = np.abs(dataset[name].values)
+        if (sizes[np.isfinite(sizes)] > LARGEST).any():
+            raise SweepError(f"{name} has numbers beyond {LARGEST:g}, which cannot be drawn")
     if not any(np.isfinite(dataset[name].values).any() for name in names):
         why = f": {quantity.lacking(dataset)}" if _is_unfinished(dataset) else ""
         raise SweepError(f"{' and '.join(names)}: there is no value to draw here{why}")

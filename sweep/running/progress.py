@@ -23,7 +23,7 @@ from rich.text import Text
 
 from linksweep.sweep.contract import shown
 from linksweep.sweep.executing.task import Failure, TaskResult
-from linksweep.sweep.formatting import counted, harmless, in_words, now, per_second, typed
+from linksweep.sweep.formatting import ESCAPED, counted, harmless, in_words, now, per_second, typed
 from linksweep.sweep.interrupt import how_ended
 from linksweep.sweep.planning.grid import Grid, GridPoint, describe
 from linksweep.sweep.planning.plan import PlanSize, Survey, Work
@@ -490,7 +490,7 @@ class TerminalProgress:
         self._failures = len(failures)
         if self._begun is not None:
             further = f"; next: {', '.join(commands)}" if commands and not failures else ""
-            for line in (*self.summary(self._elapsed()), f"wrote {store}{further}"):
+            for line in (*self.summary(self._elapsed()), f"wrote {str(store).translate(ESCAPED)}{further}"):
                 self.say(line)
             for text, n in self._warned.most_common(NAMED):
                 often = "once" if n == 1 else f"{n:,} times, first"

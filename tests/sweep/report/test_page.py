@@ -177,7 +177,8 @@ def test_the_answer_names_range_places_and_what_changes_it():
     for value, phrase in (
         (VALUES, "It is between 2 mas (model=old, size=4) and 80 mas (model=new, size=1), over 6 points."),
         (VALUES, "What changes it: model by a factor of up to 10, size by a factor of up to 8, all else being equal."),
-        *((np.full((2, 3), np.nan), "No point has a value yet."), (np.full((2, 3), 7.0), "7 mas")),
+        (np.full((2, 3), np.nan), "It is a finite number at no point that is done."),
+        *((np.full((2, 3), 7.0), "7 mas"), ([[1.0, np.inf, 2.0], [1.0] * 3], "over 5 of 6 points.")),
         ([[np.nan, np.nan, 3.0], [np.nan] * 3], "3 mas at model=old, size=4"),
         ([[1.0, -1.0, 0.0], [0.0] * 3], "between -1 mas (model=old, size=2) and 1 mas"),
         ([[1.0, np.inf, 2.0], [1.0] * 3], "It is not a finite number at 1 point."),
