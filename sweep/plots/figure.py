@@ -105,7 +105,7 @@ def all_figures(result: Result) -> dict[str, Figure]:
 
 def _titled(result: Result, kind: str) -> Figure:
     """Return a figure with its title, and with what it shows as its label, for the caption."""
-    one = KINDS[result.kind][kind]
+    one, result = KINDS[result.kind][kind], Result(style.with_literal_texts(result.dataset))
     figure: Figure = one.load()(result.dataset)
     title = "\n".join(filter(None, [result.title, result.subtitle]))
     figure.set_label(": ".join(filter(None, [one.caption, title.replace("\n", "; ")])))
@@ -119,7 +119,7 @@ def _titled(result: Result, kind: str) -> Figure:
 def _study_figure(dataset: xr.Dataset, kind: str | None, variables: list[str], over: Sequence[str]) -> Figure:
     if not (kind or variables or over):
         dataset, kind, variables, over = _as_its_study_says(dataset)
-    dataset = _with_dates(dataset)
+    dataset = style.with_literal_texts(_with_dates(dataset))
     single = [d for d in dataset["status"].dims if dataset.sizes[d] == 1]
     one_point = len(single) == dataset["status"].ndim
     only_samples = one_point and not variables and not any(name in dataset.coords for name in over)

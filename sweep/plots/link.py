@@ -153,7 +153,7 @@ def accuracy_figure(dataset: xr.Dataset) -> Figure:
             one, look = dataset.sel(model=model), {"color": style.COLOURS[number % len(style.COLOURS)]}
             curve, error = one[variable].values, one[f"{variable}_error"].values
             line = style.LINES[number % len(style.LINES)]
-            axes.plot(v, curve, linestyle=line, linewidth=1.2, label=str(model), **look)
+            axes.plot(v, curve, linestyle=line, linewidth=1.2, label=style.literal(str(model)), **look)
             if np.isfinite(error).any():
                 axes.fill_between(v, curve - error, curve + error, **look, **style.BAND)
         style.logarithmic(axes, "y", dataset[variable].values)

@@ -50,7 +50,7 @@ LETTER_WIDTH, PANEL_WIDTH, WIDE = 0.58, 14.0, 25.0
 BESIDE_INCHES = 0.5  # what the labels and ticks of a panel take of its width and height
 
 MASK, BLANK = "\ue000\ue001", "\ue002"  # letters for private use, of which Unicode says that nobody else does
-_SYMBOL = re.compile(r"\$[^$]*\$")
+_SYMBOL = re.compile(r"(?<!\\)\$(?:[^$\\]|\\.)*\$")
 _width: ContextVar[float | None] = ContextVar("width", default=None)
 
 
@@ -189,6 +189,26 @@ _NUMBER = re.compile(r"[-+]?\d*\.?\d+(e[-+]?\d+)?")
 _NAME = re.compile(rf"({GREEK}|[a-zA-Z])(\d*)(?:_(\w+))?")
 
 
+def literal(text: Any) -> Any:
+    """Return a text of which no dollar begins mathematics in a figure; anything else as it is.
+
+    Examples:
+        >>> print(literal("5 $ to 10 $"))
+        5 \\$ to 10 \\$
+    """
+    return re.sub(r"(?<!\\)\$", r"\\$", text) if isinstance(text, str) else text
+
+
+def with_literal_texts(dataset: xr.Dataset) -> xr.Dataset:
+    """Return a dataset with the texts of users, its title and those among its values, as `literal` has them."""
+    texts = {n: array for n, array in dataset.variables.items() if array.dtype.kind in "OUT"}
+    marked = {n: array for n, array in texts.items() if any("$" in str(text) for text in array.values.flat)}
+    changed = {n: a.copy(data=np.vectorize(literal, otypes="O")(a.values.astype(object))) for n, a in marked.items()}
+    coordinates = {n: array for n, array in changed.items() if n in dataset.coords}
+    named = {name: literal(text) for name, text in dataset.attrs.items() if name == "title"}
+    return dataset.assign(changed).assign_coords(coordinates).assign_attrs(named)
+
+
 def symbol(name: str, attributes: Mapping[str, Any] | None = None) -> str:
     """Return a name for a label: its symbol if it has one, or Greek and single letters as mathematics."""
     if attributes and (declared := attributes.get("symbol")):
@@ -271,7 +291,7 @@ def value_text(dataset: xr.Dataset, axis: str, value: Any) -> str:
     if isinstance(value, str) and value.lower() not in ("", "none") and not _NUMBER.fullmatch(value):
         symbols = json.loads(dataset[axis].attrs.get("symbols", "{}"))
         is_name = f"{axis}_unit" in dataset.coords or ("_" in value and _NAME.fullmatch(value))
-        return symbols.get(value) or (component_symbol(value) if is_name else value)
+        return symbols.get(value.replace(r"\$", "$")) or (component_symbol(value) if is_name else value)
     if formatting.is_truth(dataset[axis]) and value == value:  # noqa: PLR0124
         return f"{symbol(axis, dataset[axis].attrs)}: {SWITCH[bool(value)]}"
     if value in ("", "none", "None") or value != value:  # noqa: PLR0124 (missing: the parameter has no effect there)
@@ -293,7 +313,7 @@ def plain(text: str) -> str:
         ('sigma(omega) [mas/yr]', 'V_max')
     """
     text = re.sub(r"\\(?:mathrm|overline|bar)\{?([^{}$]*)\}?", r"\1", text).replace(r"\pm", "±")
-    return re.sub(r"[${}]|\\", "", text).replace("\n", " ")
+    return re.sub(r"\\(\$)|[${}]|\\", r"\1", text).replace("\n", " ")
 
 
 # Scales

@@ -183,11 +183,11 @@ def test_what_a_panel_lacks_is_named(tmp_path):
     def chosen(x: float, clip: str, gamma: float | None = None, mode: str | None = None):
         return x * (gamma or 1.0) + len(clip + (mode or ""))
 
-    axes = {"x": [1.0, 2.0, 3.0], "clip": ["none", "hard"], "gamma": [0.5, 2.0], "mode": ["a", "b"]}
+    axes = {"x": [1.0, 2.0, 3.0], "clip": ["none", "hard"], "gamma": [0.5, 2.0], "mode": [r"$\a_$", "b"]}
     when = {"gamma": {"clip": ["none"]}, "mode": {"clip": ["hard"]}}
     figure = linksweep.plot(linksweep.run(chosen, tmp_path / "s.zarr", axes=axes, when=when, pool="serial"))
     shown = ", ".join([*(axes.get_title() for axes in axes_of(figure)), *texts(figure.legends[0])])
-    assert {"no clip", "hard", r"no $\gamma$", r"$\gamma$ = 2", "no mode", "a"} <= set(shown.split(", "))
+    assert {"no clip", "hard", r"no $\gamma$", r"$\gamma$ = 2", "no mode", r"\$\a_\$"} <= set(shown.split(", "))
 
 
 def drawn(figure):
