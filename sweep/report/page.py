@@ -131,7 +131,7 @@ def drawn(dataset: xr.Dataset, name: str, salt: str, variables: Sequence[str] = 
         words = f"{name}. {style.caption(figure, dataset) if 'status' in dataset else ''}".strip()
         about = style.description(figure, dataset)
         return Picture(name, svg, 72.0 * figure.get_figwidth(), "", words, about, narrow)
-    except (SweepError, ValueError) as error:  # a ValueError: a name that matplotlib takes for a formula
+    except (SweepError, ValueError) as error:  # a ValueError: a symbol that is no formula
         is_curve = "status" in dataset and variables and quantity.own_dimensions(dataset, variables[0])
         dataset = quantity.without_excluded(dataset) if is_curve else dataset
         sizes = {str(d): n for d, n in dataset["status"].sizes.items() if n > 1 and d != POINT} if is_curve else {}
