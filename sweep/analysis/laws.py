@@ -24,16 +24,7 @@ from linksweep.sweep.analysis import quantity
 from linksweep.sweep.analysis.tables import STEP, derived
 from linksweep.sweep.contract import FEW, SweepError, factor_between, rescaled, shown, unit_problem
 from linksweep.sweep.contract.rows import FEWEST_SAMPLES, LENGTH, Array, Status, p_value, small_sample_factor
-from linksweep.sweep.formatting import (
-    LOGARITHMIC_UNITS,
-    RAGGED,
-    counted,
-    described,
-    plain,
-    units_of,
-    with_error,
-    with_unit,
-)
+from linksweep.sweep.formatting import LOGARITHMIC_UNITS, RAGGED, described, plain, units_of, with_error, with_unit
 from linksweep.sweep.studies.record import outer_draw_of
 from linksweep.sweep.studies.study import POINT
 
@@ -920,8 +911,6 @@ def _crossing_in_words(row: Mapping[str, Any], unit: str, line: Line, threshold:
         return words
     at = plain([row["nearest_at"], *line.x.tolist()])[0]
     where = f" at {at} {unit}".rstrip() if at else ""
-    undecided = int((~line.decided(threshold)).sum())
-    doubt = f"; not decided: {counted(undecided, 'point')} less than {SURE:g} errors from it" if undecided else ""
-    return (
-        f"{words}; {with_unit(row['nearest'], row['nearest_error'], line.unit)}{where} is nearest to the limit{doubt}"
-    )
+    nearest, undecided = with_unit(row["nearest"], row["nearest_error"], line.unit), (~line.decided(threshold)).sum()
+    doubt = f"; not decided: {undecided} of {len(line.x)} points are within {SURE:g} errors of it" if undecided else ""
+    return f"{words}; {nearest}{where} is nearest to the limit{doubt}"

@@ -94,7 +94,7 @@ class Refinement:
             text = next(t for digits in range(2, 18) if (float(t := f"{known:.{digits}g}") <= enough) == is_enough)
             few = f"Not known{at}: there are too few points, or errors are not known{why}."
             if self.goal["find"]:
-                few = f"Not decided{at}: less than {laws.SURE:g} errors from the limit, or errors are not known{why}."
+                few = f"Not decided{at}: values are within {laws.SURE:g} errors of the limit, or errors not known{why}."
             yet = "" if is_enough else f", not yet to {wanted:g}{why}"
             said.append(f"Known{at} to {text}{yet}." if known < math.inf else few)
         if quantity.shares_random_numbers(self.dataset, [self.along]):
