@@ -45,7 +45,8 @@ class Astrometry:
     ``apparent`` (N,) marks positions of a single epoch, which the parallax displaces; ``frame`` (N,) is 0 for rows in
     the reference's frame and the number of a mission, from 1, for those in a frame of its own; ``shared`` (N,) is the
     part of the errors of a position (rad) that is that of its ``calibrator`` (N,), and which the rows of a source with
-    this calibrator have in common.
+    this calibrator have in common; ``at_rest`` (N,) marks positions of quasars, whose parallax and motion are not
+    measured but known.
 
     ``further`` (2, 5, N) are values and errors of the parameters `FURTHER` of stars whose paths are not straight, zero
     for those that a star lacks; ``orbit`` (7, N) and ``averaged`` (N,) as in `bends`.
@@ -62,6 +63,7 @@ class Astrometry:
     frame: Indices = None  # type: ignore[assignment]  # the reference's by default
     calibrator: Texts = None  # type: ignore[assignment]  # none by default
     shared: Array = None  # type: ignore[assignment]  # zero by default
+    at_rest: Flags = None  # type: ignore[assignment]  # none of them by default
     further: Array | None = None
     orbit: Array | None = None
     averaged: Array | None = None
@@ -69,7 +71,7 @@ class Astrometry:
     def __post_init__(self) -> None:
         # broadcast arrays take no memory, however many rows there are
         defaults = {"apparent": np.False_, "frame": np.int64(0), "calibrator": np.str_(""), "shared": np.float64(0.0)}
-        for name, default in defaults.items():
+        for name, default in (defaults | {"at_rest": np.False_}).items():
             if getattr(self, name) is None:
                 object.__setattr__(self, name, np.broadcast_to(default, len(self)))
 
@@ -124,7 +126,7 @@ def of_five(table: Astrometry) -> Astrometry:
 def joined(*tables: Astrometry) -> Astrometry:
     """Return the rows of some tables as one, without names, radial velocities and further columns."""
     none = np.zeros((len(PAIRS), sum(map(len, tables))))  # the rows of a link have no further parameters
-    names = ("values", "errors", "epoch", "correlations", "apparent", "frame", "calibrator", "shared")
+    names = ("values", "errors", "epoch", "correlations", "apparent", "frame", "calibrator", "shared", "at_rest")
     whole = [replace(t, correlations=none[:, : len(t)]) if t.correlations is None else t for t in tables]
     arrays: dict[str, Any] = {name: np.concatenate([getattr(one, name) for one in whole], axis=-1) for name in names}
     return Astrometry(**arrays)
@@ -159,15 +161,14 @@ KINDS = (
 def kinds(rows: Astrometry) -> Texts:
     """Return the kind of each row, which follows from what is present; shape (N,).
 
-    A position alone is of a "single epoch" where it is marked so.  Raises ValueError where only one coordinate of a
-    position or of a motion is present.
+    One coordinate of a position or of a motion is enough.  A position alone, or that of a quasar at rest, is of a
+    "single epoch" where it is marked so.  Raises ValueError for a position of which one coordinate has no value.
     """
-    present = rows.present
-    for pair, what in (((0, 1), "position"), ((3, 4), "motion")):
-        half = np.flatnonzero(present[pair[0]] != present[pair[1]])
-        if len(half):
-            raise ValueError(f"only one coordinate of the {what} has a value and an error in {named_rows(half)}")
-    kind: Texts = np.array(KINDS, dtype="U24")[present[[0, 2, 3]].T @ np.array([1, 2, 4])]
+    by_group = np.logical_or.reduceat(rows.present, [0, 2, 3])
+    if len(half := np.flatnonzero(by_group[0] & ~np.isfinite(rows.values[:2]).all(axis=0))):
+        raise ValueError(f"only one coordinate of the position has a value in {named_rows(half)}")
+    kind: Texts = np.array(KINDS, dtype="U24")[by_group.T @ np.array([1, 2, 4])]
+    kind[rows.at_rest] = "position"
     kind[(kind == "position") & rows.apparent] = "single epoch"
     return kind
 
@@ -310,7 +311,7 @@ def differences(
     moved = propagated(star.values, star.radial_velocity, start, start + years)
     moved[2:] = np.nan_to_num(moved[2:])
     present = rows.present
-    apparent = rows.apparent & present[0] & ~present[2] & ~present[3]
+    apparent = rows.apparent & ~present[2:].any(axis=0)
 
     partials = np.zeros((len(rows), 5, 5))
     partials[:, range(5), range(5)] = 1.0

@@ -41,6 +41,9 @@ RESAMPLES = 1000
 # How often noise is estimated from what a clip keeps with it.
 ROUNDS = 20
 
+# What notes say of that which is in the tables, but not in the link.
+NOT_USED = ("not used", "not measured", "left out", "match no source", "keeps")
+
 # A chi2 that is lower by so much with the opposite sign of what is known is no chance.
 WORSE = 10.0
 
@@ -194,12 +197,19 @@ def _of_known(setup: Setup, sources: solving.Sources, result: solving.Clipped) -
 
 
 def _rows_there_are(setup: Setup) -> str:
-    """Return which kinds of rows there are, and what is known about the tables, for an error."""
-    names, numbers = np.unique(kinds(setup.problem.rows), return_counts=True)
+    """Return which kinds of rows there are, what these lack, and what was not used of the tables, for an error."""
+    rows, star = setup.problem.rows, setup.problem.satellite.present[:, setup.problem.source]
+    names, numbers = np.unique(kinds(rows), return_counts=True)
     counted = ", ".join(f"{n} {kind}" for kind, n in zip(names, numbers, strict=True))
-    if len(epochs := np.unique(setup.problem.rows.epoch[np.isfinite(setup.problem.rows.epoch)])):
+    if len(epochs := np.unique(rows.epoch[np.isfinite(rows.epoch)])):
         counted += f", of {epochs[0]:g} to {epochs[-1]:g}" if len(epochs) > 1 else f", all of {epochs[0]:g}"
-    return f" (rows: {'; '.join([counted, *setup.notes])})"
+    lacking = ["an orientation needs positions in the reference"] * (not np.any(rows.present[:2]))
+    if not np.any(rows.present[3:] & star[3:]):
+        lacking.append(
+            "a spin needs motions with errors in both tables, or in one and positions of other epochs in the other"
+        )
+    unused = [note for note in setup.notes if any(words in note for words in NOT_USED)]
+    return f" (rows: {'; '.join([counted, *lacking, *unused])})"
 
 
 def _covariances(
@@ -613,15 +623,15 @@ def forecast(satellite: str | Path, reference: str | Path, unknowns: str | None 
             "step_error": (("step", "unknown"), _errors(steps)),
             "step_criterion": ("step", _scaled(map(goal.value, steps), goal)),
         }
-    attributes = {
+    attributes = setup.attributes() | {
         "result": "forecast",
+        "epoch": future.epoch,
         "epoch_of_forecast": future.epoch,
         "release": plan.release if old else "",
         "from_release": old,
         "new_error_mas": plan.error,
         "goal": ", ".join(goal.blocks or problem.unknowns.names),
         "criterion": plan.criterion,
-        **setup.attributes(),
         "notes": [*further, *setup.notes],
     }
     return xr.Dataset(variables, coords=coordinates, attrs=attributes)

@@ -59,7 +59,7 @@ class Options(Declared):
         "Galactic, e.g. 5.8, of positions of 2015.0", "UAS_YR", 0.0, "float", unit="uas/yr", minimum=0.0
     )
     jitter: str = option(
-        "added in quadrature to rows of a kind, or of all; or estimate", "KIND=MAS[:MAS_YR]|estimate", joined=",:"
+        "added to rows of a kind, or of all; or estimate", "[TABLE:]KIND=MAS[:MAS_YR]|estimate", joined=",:"
     )
     where: str = option(
         "rows of the satellite, or of TABLE: 'ruwe < 1.4 & ~flag'; a ; divides several", "[TABLE:]CONDITION", joined=";"

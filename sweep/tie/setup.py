@@ -12,7 +12,19 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from linksweep.core.frames import ARCSEC, DEGREE, GALACTIC_AXES, MAS, Array, Indices, LinkError, Names, position, triad
+from linksweep.core.frames import (
+    ARCSEC,
+    DEGREE,
+    GALACTIC_AXES,
+    MAS,
+    Array,
+    Flags,
+    Indices,
+    LinkError,
+    Names,
+    position,
+    triad,
+)
 from linksweep.core.tie import astrometry as core
 from linksweep.core.tie.astrometry import Astrometry, kinds, named_rows
 from linksweep.core.tie.forecast import releases_at
@@ -107,6 +119,8 @@ def parse_jitter(text: str, missions: Collection[str]) -> dict[str, dict[str, An
         # one number is the jitter of motions where a kind of rows has nothing else
         both = (0.0, *sizes) if len(sizes) == 1 and kind.rpartition(":")[2] in MOTIONS else (*sizes, 0.0)[:2]
         jitter[kind] = ESTIMATE if size == ESTIMATE else both
+    if jitter.get(ALL, ESTIMATE) != ESTIMATE:  # which is of all tables anyway
+        jitter = {f"{name}:{ALL}": jitter[ALL] for name in missions} | jitter
     return by_table("jitter", jitter.items(), [*SIDES[1:], *missions], SIDES[1:])
 
 
@@ -163,21 +177,24 @@ class Setup:
     def with_new_rows(self, problem: Problem, epochs: Sequence[Any], error: float, positions: str) -> Problem:
         """Return a problem of the sources with a position added to each at each of ``epochs`` (None for the source's).
 
-        ``error`` (mas) is that of each coordinate; ``positions`` are of a single epoch unless "mean", as those of
-        quasars always are, which hold at any epoch.  As rows of the reference they have the jitter of their kind.
-        They are those of the satellite, and so for forecasts, which do not depend on measured values.
+        ``error`` (mas) is that of each coordinate; ``positions`` are of a single epoch, "mean", or those of the
+        reference's table; those of quasars hold at any epoch.  As rows of the reference they have the jitter of their
+        kind.  They are those of the satellite, and so for forecasts, which do not depend on measured values.
         """
         reference, rows = self.tables[SIDES[1]], self.problem.rows
-        at_rest = np.isnan(rows.epoch) & (rows.present[0] | (reference.path == ZERO_MOTION))
-        quasars = reference.options.extragalactic or np.any(at_rest)
+        resting = np.isnan(rows.epoch) & (rows.present[0] | (reference.path == ZERO_MOTION)) & (rows.frame == 0)
+        quasars = reference.options.extragalactic or np.any(resting)
+        single = np.any(reference.astrometry.apparent) if positions == TABLE else positions != "mean"
         n, source = len(problem.satellite), np.tile(np.arange(len(problem.satellite)), len(epochs))
         values = np.where(np.arange(5)[:, None] < 2, problem.satellite.values[:, source], np.nan)
         errors = np.where(np.isfinite(values), error * MAS, np.nan)
         at = np.repeat(np.array([None] * len(epochs) if quasars else epochs, dtype=np.float64), n)
-        new = Astrometry(values, errors, at, apparent=np.full(len(source), positions != "mean" and not quasars))
+        new = Astrometry(values, errors, at, apparent=np.full(len(source), single and not quasars))
         jitter = {kind: size for kind, size in self.jitter.get(SIDES[1], {}).items() if kind in (ALL, *kinds(new)[:1])}
-        rows = core.joined(problem.rows, with_jitter(new, jitter))
-        return replace(problem, rows=rows, source=np.concatenate([problem.source, source]))
+        source, old = np.concatenate([problem.source, source]), len(problem.rows)
+        if quasars:
+            new = quasars_at_rest(problem.satellite, core.joined(problem.rows, new), source).taken(slice(old, None))
+        return replace(problem, rows=core.joined(problem.rows, with_jitter(new, jitter)), source=source)
 
 
 def set_up(satellite: str | Path, reference: str | Path, options: Options, all_sources: bool = False) -> Setup:
@@ -211,19 +228,17 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
             rows = _taken(table.astrometry, matched.rows)
             far = far_rows(left, table, matched)
             notes += [*table.named_notes(), *match_notes(left, table, matched, rows), *far]
-        rows = with_jitter(core.of_five(rows), jitter.get(name, {}))
-        if frame:
-            rows = replace(rows, frame=np.full(len(rows), frame))
-        elif options.aberration:
-            rows = _aberrated(rows, left.astrometry.epoch[matched.source], options.aberration)
+        rows = replace(core.of_five(rows), frame=np.broadcast_to(frame, len(rows)))
+        rows = rows if frame else quasars_at_rest(left.astrometry, rows, matched.source, options.aberration)
         tables[name] = table
         matches.append(matched)
-        parts.append(rows)
+        parts.append(with_jitter(rows, jitter.get(name, {})))
     source = np.concatenate([matched.source for matched in matches])
     sources = np.arange(n) if all_sources else np.unique(source)
     names = _names(left, tables[SIDES[1]], matches[0])[sources]
     stars = replace(_taken(left.astrometry, sources), names=names)
     rows, source = parts[0] if len(parts) == 1 else core.joined(*parts), np.searchsorted(sources, source)
+    stars = satellite_at_rest(stars, rows, source)
     epoch = default_epoch(stars.epoch) if options.epoch is None else options.epoch
     notes += _resting(stars, rows, source)
     problem = Problem(stars, rows, source, Unknowns(()), epoch, options.weights, tables=tuple(tables)[1:])
@@ -265,6 +280,39 @@ def _resting(stars: Astrometry, rows: Astrometry, source: Indices) -> list[str]:
     return [f"{said}: if they are quasars, say --extragalactic reference"]
 
 
+def quasars_at_rest(stars: Astrometry, rows: Astrometry, source: Indices, aberration: float = 0.0) -> Astrometry:
+    """Return rows of a reference with the parallax and motion of quasars, which are zero but for the Galactic
+    aberration (uas/yr), in a position that holds at any epoch of each source that has none measured.
+    """
+    rows = _aberrated(rows, stars.epoch[source], aberration) if aberration else rows
+    quasar = np.isnan(rows.epoch) & rows.present[0]
+    zero = np.zeros((3, len(rows)), dtype=bool)
+    for k, flags in enumerate(zero if np.any(quasar) else (), start=2):
+        measured = np.isin(source, source[rows.present[k]])
+        at = np.flatnonzero(quasar & ~measured & (stars.errors[k, source] > 0.0))
+        flags[at[np.unique(source[at], return_index=True)[1]]] = True  # once, as it is exact
+    return _exactly(rows, zero, _glide(rows, aberration))
+
+
+def satellite_at_rest(stars: Astrometry, rows: Astrometry, source: Indices) -> Astrometry:
+    """Return a satellite's table with the parallax and motion of quasars in positions that hold at any epoch, unless
+    rows have them without an error too.
+    """
+    exact = np.array([np.isin(np.arange(len(stars)), source[errors == 0.0]) for errors in rows.errors[2:]])
+    return _exactly(stars, np.isnan(stars.epoch) & stars.present[0] & ~stars.present[2:] & ~exact)
+
+
+def _exactly(table: Astrometry, known: Flags, motion: Array | float = 0.0) -> Astrometry:
+    """Return a table at rest: with a parallax of zero and a motion (2, N) without errors where ``known`` (3, N)."""
+    if not np.any(known):
+        return table
+    values, errors = table.values.copy(), table.errors.copy()
+    np.copyto(values[2:], 0.0, where=known)
+    np.copyto(values[3:], motion, where=known[1:])
+    np.copyto(errors[2:], 0.0, where=known)
+    return replace(table, values=values, errors=errors, at_rest=np.asarray(known.any(axis=0)))
+
+
 def zero_motion(n: int) -> Astrometry:
     """Return n rows of a reference whose sources do not move."""
     zeros = np.broadcast_to(np.array([np.nan, np.nan, np.nan, 0.0, 0.0])[:, None], (5, n))  # takes no memory
@@ -273,7 +321,7 @@ def zero_motion(n: int) -> Astrometry:
 
 def moving_sources(stars: Astrometry) -> Indices:
     """Return the sources that have a motion, of which a reference at rest has a row."""
-    return np.flatnonzero(stars.present[3])
+    return np.flatnonzero(stars.present[3:].all(axis=0))
 
 
 def without_motion(number: int, n: int) -> list[str]:
@@ -526,13 +574,17 @@ def _aberrated(rows: Astrometry, to_epoch: Array, aberration: float) -> Astromet
     if not np.any(rows.present[0] & np.isnan(rows.epoch) & np.isfinite(to_epoch)):
         said = "aberration carries positions without an epoch from 2015.0 to that of their source, and no row of the"
         raise SweepError(f"{said} reference is such a position")
-    p, q, _ = triad(rows.values[0], rows.values[1])
     years = np.where(np.isfinite(rows.epoch) | ~np.isfinite(to_epoch), 0.0, to_epoch - ICRF3_EPOCH)
-    glide = GALACTIC_AXES[0] * aberration * MAS / 1000.0
-    values = rows.values.copy()
-    values[0] += years * (glide @ p) / np.cos(rows.values[1])
-    values[1] += years * (glide @ q)
+    values, glide = rows.values.copy(), _glide(rows, aberration)
+    values[0] += years * glide[0] / np.cos(rows.values[1])
+    values[1] += years * glide[1]
     return replace(rows, values=values)
+
+
+def _glide(rows: Astrometry, aberration: float) -> Array:
+    """Return the apparent motions (2, N) of a Galactic aberration (uas/yr), rad/yr."""
+    glide = GALACTIC_AXES[0] * aberration * MAS / 1000.0
+    return np.stack([glide @ axis for axis in triad(rows.values[0], rows.values[1])[:2]])
 
 
 def known_unknowns(options: Options, stars: Astrometry) -> tuple[Unknowns, Array] | None:

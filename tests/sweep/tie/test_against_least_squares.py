@@ -17,8 +17,9 @@ from tests.core.tie.made import POSITION, gaia, noise, only, seen_by_satellite, 
 from tests.tiers import slow
 
 EPSILON, OMEGA = np.array([0.4, -0.3, 0.9]) * MAS, np.array([-0.2, 0.1, 0.3]) * MAS
-KINDS_OF_ROWS = [["five"], ["five", "position"], ["motion", "position"]]
-PRESENT = {"five": np.ones(5, dtype=bool), "position": POSITION, "motion": np.arange(5) > 2}
+KINDS_OF_ROWS = [["five"], ["five", "position"], ["motion", "position", "ra", "pmdec"]]
+PRESENT = {"five": np.arange(5) >= 0, "position": POSITION, "motion": np.arange(5) > 2}
+PRESENT |= {"ra": np.arange(5) == 0, "pmdec": np.arange(5) == 4}
 KINDS = "formal,scaled,jackknife,sandwich,cells"
 SEEDS = [1, *map(slow, (2, 3))]
 CLIPPED = ("covariance", "huber:1.5"), ("variance", "huber:1.5"), ("covariance", "median:1.5")
@@ -44,7 +45,7 @@ def drawn_tables(folder, seed, n=12, free=2, scale=1.0, far=(), coarse=(), calib
     rows = replace(rows, epoch=epoch[source] + rng.uniform(-12.0, 12.0, size))
     truth = propagated(made.values[:, source], None, epoch[source], rows.epoch)
     values = truth + scale * noise(rng, rows) + np.where(is_coarse, 15.0, offset) * MAS
-    rows = only(rows, np.array([PRESENT[kind] for _, kind in kinds]).T, values=values)
+    rows = replace(rows, values=values, errors=np.where([PRESENT[kind] for _, kind in kinds], rows.errors.T, np.nan).T)
     names = np.where(np.isfinite(rows.errors[0]), rng.choice(calibrators, size), "")
     shared = np.where(names == "", 0.0, rng.uniform(0.1, 1.0, size))
     columns = {"calibrator": names, "calibrator_error": shared} if any(calibrators) else {}

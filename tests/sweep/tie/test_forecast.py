@@ -129,16 +129,15 @@ def errors_by_hand(folder, table, old, new):
 @given(pair=st.sampled_from(list(permutations(EPOCH, 2))))
 def test_errors_are_scaled_from_the_release_that_has_the_epoch(folder, pair):
     old, new = pair
-    if MONTHS[new] < MONTHS[old]:
+    if backwards := MONTHS[new] < MONTHS[old]:
         with pytest.raises(SweepError, match=f"is that of {old}, the same or a later one"):
             planned(folder, old, new)
-        plan = planned(folder, old, new, from_release=old)
-    else:
-        plan = planned(folder, old, new)
+    plan = planned(folder, old, new, from_release=old if backwards else None)
     np.testing.assert_allclose(plan.error.sel(stage=new), errors_by_hand(folder, old, old, new), rtol=1e-9)
     now = planned(folder, old, "table", epoch=EPOCH[new])  # at the epoch of the others
     np.testing.assert_allclose(plan.error.sel(stage="now"), now.error.sel(stage="now"), rtol=1e-9)
-    assert (plan.attrs["from_release"], plan.attrs["epoch_of_forecast"]) == (old, EPOCH[new])
+    epochs = plan.attrs["epoch"], plan.attrs["epoch_of_forecast"]
+    assert (plan.attrs["from_release"], *epochs) == (old, EPOCH[new], EPOCH[new])
     assert any(f"scaled from {old} ({EPOCH[old]:g}) to {new}" in note for note in plan.attrs["notes"])
     assert any("Hipparcos" in note for note in plan.attrs["notes"]) == ("dr1" in pair)
 
@@ -179,19 +178,44 @@ def test_a_study_scales_from_the_same_release(folder):
 
 @pytest.mark.parametrize("jitter", ["", "all=0.2"])
 def test_new_positions_of_quasars_are_mean_ones_that_hold_at_any_epoch(tmp_path, jitter):
-    own = replace(stars(12, 5), correlations=np.zeros((10, 12)), radial_velocity=np.zeros(12))
-    rows, new = only(own, POSITION), only(own, POSITION, errors=np.full((5, 12), ERROR * MAS))
-    satellite = gaia(tmp_path / "own.ecsv", own, source_id=np.arange(12))
-    for name, made in (("now", rows), ("later", replace(joined(rows, new), radial_velocity=np.zeros(24)))):
-        table = gaia_table(made, source_id=np.arange(len(made)) % 12)
+    quasars = replace(stars(12, 5, pm=0.0, parallax=0.0), radial_velocity=np.zeros(12))
+    own = replace(quasars, values=seen(quasars, quasars))
+    tables, plan = (gaia(tmp_path / "own.ecsv", own), tmp_path / "0.ecsv"), {"add": [2030], "error": ERROR}
+    new = only(quasars, POSITION, errors=np.full((5, 12), ERROR * MAS), correlations=np.zeros((10, 12)))
+    exact = replace(quasars, errors=quasars.errors * np.where(POSITION, 1.0, 1e-6)[:, None])
+    rows, how = only(quasars, POSITION), {"extragalactic": "reference", "jitter": jitter}
+    links = []
+    for k, made in enumerate(([rows], [new], [rows, new], [exact, new])):
+        table = gaia_table(replace(joined(*made), radial_velocity=np.zeros(12 * len(made))))
+        table["source_id"] = np.arange(len(table)) % 12 + 10**17
         table.remove_column("ref_epoch")
-        table.write(tmp_path / f"{name}.ecsv")
-    how = {"unknowns": "orientation", "extragalactic": "reference", "jitter": jitter}
-    expected = tie(satellite, tmp_path / "later.ecsv", errors="formal", **how).error
-    tables = satellite, tmp_path / "now.ecsv"
-    np.testing.assert_allclose(forecast(*tables, add=[2030], error=ERROR, **how).error[1], expected)
-    np.testing.assert_allclose(in_a_study(tmp_path, *tables, n_new=12, new_error=ERROR, **how)[:3], expected)
-    np.testing.assert_allclose(*forecast(satellite, "zero-motion", "spin", add=[2030]).error)  # correlations are 0
+        table.write(tmp_path / f"{k}.ecsv")
+        links.append(tie(tables[0], tmp_path / f"{k}.ecsv", errors="formal", **how))  # of orientation and spin
+    for name in ("estimate", "error", "chi2", "dof"):
+        np.testing.assert_allclose(links[2][name], links[3][name], rtol=1e-5, err_msg=name)
+    assert set(links[0].row_kind.values.tolist()) == {"position"}
+    north = (quasars.values[1] - own.values[1]) / MAS  # neither moved nor displaced
+    np.testing.assert_allclose(links[0].difference.sel(observable="dec"), north, atol=1e-6)
+    notes = tie(*tables, "orientation", reference_epoch=2015.5, accept_misfit=True).attrs["notes"]
+    assert "if they are quasars, say --extragalactic reference" in str(notes)
+    np.testing.assert_allclose(forecast(*tables, **plan, **how).error[1], links[2].error)
+    np.testing.assert_allclose(in_a_study(tmp_path, *tables, n_new=12, new_error=ERROR, **how), links[2].error)
+    if not jitter:
+        turned = -tie(*tables[::-1], extragalactic="satellite").estimate
+        np.testing.assert_allclose(turned, links[0].estimate, rtol=1e-5)
+        new = forecast(tables[0], "zero-motion", "orientation,spin", **plan)
+        np.testing.assert_allclose(new.error[1], links[1].error)
+
+
+def test_new_positions_are_of_the_kind_that_the_reference_is_marked_to_be(folder):
+    marked = gaia_table(only(resting(2008.0), POSITION))
+    marked.meta["positions"] = "mean"
+    marked.write(folder / "marked.ecsv")
+    tables, how = (folder / "dr3.fits", folder / "marked.ecsv"), {"unknowns": "orientation", "add": [2030.2]}
+    plans = (forecast(*tables, positions=positions, **how) for positions in ("table", "mean", "single-epoch"))
+    marked, mean, single = (plan.error.values[1] for plan in plans)
+    np.testing.assert_array_equal(marked, mean)
+    assert np.all(single > mean)
 
 
 def test_estimated_noise_is_in_new_rows_and_is_not_scaled_to_a_release(tmp_path):

@@ -240,21 +240,3 @@ def test_a_real_misfit_has_no_invented_cause_and_sources_that_alone_carry_it_are
     at = reference["source_id"] == bad
     reference["dec"][at] += np.random.default_rng(1).normal(size=np.count_nonzero(at)) * 30.0 / 3.6e6
     assert f"without {bad} it is " in solved(tmp_path, satellite, reference)[0]
-
-
-def test_quasars_without_an_epoch_are_mean_positions(tmp_path):
-    rng, made = np.random.default_rng(3), stars(300, 3)
-    values = np.concatenate([made.values[:2], rng.normal(-0.02, 0.1, (3, 300)) * MAS])
-    made = replace(made, values=values, errors=np.full((5, 300), 0.1 * MAS))
-    satellite = gaia_table(made, source_id=[f"Q{i}" for i in range(300)])
-    satellite.remove_column("radial_velocity")
-    reference = satellite["source_id", "ra", "dec", "ra_error", "dec_error"]
-    reference["dec"] = satellite["dec"] + rng.normal(0.0, 0.14, 300) / 3.6e6
-    tables = written(tmp_path, satellite, reference)
-    unknowns = "orientation,position_glide"
-    link = linksweep.tie(*tables, unknowns, extragalactic="reference")
-    assert set(link.row_kind.values.tolist()) == {"position"}
-    offset = (reference["dec"] - satellite["dec"]) * 3.6e6  # neither moved nor displaced
-    np.testing.assert_allclose(link.difference.sel(observable="dec"), offset, atol=1e-6)
-    obeyed = linksweep.tie(*tables, unknowns, reference_epoch=2015.5)
-    assert any("if they are quasars, say --extragalactic reference" in note for note in obeyed.attrs["notes"])

@@ -24,12 +24,13 @@ ABOUT_OUTPUT += "errors resamples seed sign no_sources output figures as_json"
 WRONG = [("degree", 0, "degree=0"), ("known_spin", [0.1, 0.2], "known-spin=0.1,0.2"), ("bins", "17", "bins=17")]
 WHERE = ["phot_g_mean_mag < 14", "reference: phot_g_mean_mag < 10"]
 HIP = {"missions": {"hip": "hip.ecsv"}, "columns": {"hip:parallax": "plx"}, "mission_epochs": {"hip": "1991.25"}}
+EVERY = "reference:all=0.3,hip:all=0.3"
 CASES = {  # in a study, and in Python
     **{clip: ({"clip": clip}, {"clip": clip}) for clip in ("huber:1.5", "discrepancy:2", "median:1.5")},
     "jitter": ({"jitter": "estimate"}, {"jitter": "estimate"}),
     "without_cos_dec": ({"without_cos_dec": "reference"}, {"without_cos_dec": "reference"}),
     "where there": ({"where": "; ".join(WHERE)}, {"where": WHERE}),
-    "missions": (HIP, HIP | {"mission_epochs": {"hip": 1991.25}}),
+    "missions": (HIP | {"jitter": "all=0.3"}, HIP | {"mission_epochs": {"hip": 1991.25}, "jitter": EVERY}),
     "known_spin_table": ({"known_spin_table": "spin.ecsv"}, {"known_spin": "spin.ecsv"}),
 }
 

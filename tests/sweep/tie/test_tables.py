@@ -149,8 +149,7 @@ def test_rows_far_from_the_source_of_their_name_are_said_and_refused(tmp_path):
     fast = replace(made, values=made.values * np.array([1.0, 1.0, 1.0, 100.0, 100.0])[:, None])  # 10 arcsec/yr
     later = propagated(fast.values, fast.radial_velocity, fast.epoch, fast.epoch + 20.0)
     moved = gaia(tmp_path / "moved.ecsv", replace(fast, values=later, epoch=fast.epoch + 20.0))
-    notes = tie(gaia(tmp_path / "fast.ecsv", fast), moved).attrs["notes"]
-    assert not any("of the same name" in note for note in notes)
+    assert "of the same name" not in str(tie(gaia(tmp_path / "fast.ecsv", fast), moved).attrs["notes"])
 
 
 @pytest.mark.parametrize("lost", ["ra_pmra_corr", "ra_dec_corr", "parallax_pmdec_corr"])
@@ -245,5 +244,5 @@ def test_names_are_the_same_however_they_are_stored(tmp_path):
     for number, names in enumerate(([71, 72, 73], [71.0, 72.0, 73.0], ["71 ", " 72", "73"], [b"71", b"72", b"73"])):
         path = gaia(tmp_path / f"{number}.parquet", made, hip=names)
         assert read_table(path).names["hip"].tolist() == ["71", "72", "73"]
-    gapped = gaia(tmp_path / "gap.fits", made, hip=[71.0, np.nan, 73.0])
-    assert read_table(gapped).names["hip"].tolist() == ["71", "--", "73"]
+    path = gaia(tmp_path / "gap.fits", made, hip=[71.0, np.nan, 73.0])
+    assert read_table(path).names["hip"].tolist() == ["71", "--", "73"]
