@@ -45,7 +45,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from linksweep.sweep.contract import Experiment, SweepError, shown, suggest
+from linksweep.sweep.contract import Experiment, Named, SweepError, shown, suggest
 from linksweep.sweep.functions.adapter import ATTRIBUTE, experiment_of, is_plain_function, name_of
 
 # Begins the names of the packages that the modules beside a user's file are in.
@@ -1007,6 +1007,8 @@ def code_of(reference: str, experiment: Experiment, digest: str | None = None) -
     if place.partition(".")[0] != OURS or distributions_of(place) != ():
         code |= parts_of(reference, digest or source_digest(reference))
         code |= {f"default of {p.name}": json.dumps(p.written_default(), default=str) for p in experiment.parameters}
+        objects = [one for one in experiment.parameters if isinstance(one.default, Named)]
+        code |= {f"default of {one.name}, an object": one.default.name for one in objects}
     packages = [name.removeprefix("package ") for name in code if name.startswith("package ")]
     return code | {f"package {name}": version_of(name) for name in (*packages, *experiment.packages)}  # of this process
 

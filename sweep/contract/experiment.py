@@ -332,16 +332,23 @@ class Parameter:
         """Whether its values can be objects of any type."""
         return self.kind in ("any", "object") and not self.choices
 
+    @property
+    def reads_none(self) -> bool:
+        """Whether the text None on the command line or in a study file is None, and no text."""
+        if self.kind == "any":
+            return self.default is None and not self.required
+        return self.optional if self.kind == "str" else self.may_be_axis
+
     def written_default(self) -> Any:
-        """Return the default as a study writes it."""
+        """Return the default as a study file writes it, which has no objects."""
         if isinstance(self.default, tuple):
             return dict(self.default) if self.kind in ("map", "files") else list(self.default)
-        return self.default.item() if isinstance(self.default, np.generic) else self.default
+        default = None if isinstance(self.default, Named) else self.default
+        return default.item() if isinstance(default, np.generic) else default
 
     def parse(self, raw: object) -> Value:
         """Return ``raw`` as a value of this parameter; raises ValueError with a sentence that says what is allowed."""
-        may_be_text = self.kind == "any" and (self.default is not None or self.required)
-        if (self.optional or self.when) and (raw is None or (raw == "None" and not may_be_text)):
+        if raw is None and (self.optional or self.when):
             return None
         value: Any = self._object(raw) if self.takes_objects else raw
         if not isinstance(value, Named):

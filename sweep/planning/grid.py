@@ -253,6 +253,20 @@ def failures_by_place(
     return {describe(grid.study, p.parameters): records[p.digest]["message"] for p in grid.points(failed)}
 
 
+def depending_across(
+    study: Study, shared: Collection[Collection[str]], groups: Iterable[Collection[str]]
+) -> dict[str, tuple[str, Collection[str]]]:
+    """Return the parameters along dimensions that are ``shared`` whose effect depends on an axis of another of all the
+    ``groups`` of axes, each with one such axis and the axes beside it: no coordinate could say where it is missing.
+    """
+    depends = dict[str, set[str]]()
+    for name, conditions in study.when.items():  # those that others depend on come first
+        depends[name] = {one.name for one in conditions}.union(*(depends.get(one.name, ()) for one in conditions))
+    axes = {name for group in groups for name in group}
+    across = {name: (depends.get(name, set()) & axes - {*group}, group) for group in shared for name in group}
+    return {name: (min(others), group) for name, (others, group) in across.items() if others}
+
+
 def make_grid(study: Study) -> Grid:
     """Return the grid of a study after asking the experiment about every point.
 
@@ -270,6 +284,15 @@ def make_grid(study: Study) -> Grid:
             "with a store each, or take a design of points (--design)"
         )
         raise SweepError(message, study.source)
+    shared = [axes for axes in study.dimensions.values() if axes[0] not in study.alone]
+    across = depending_across(study, shared, study.dimensions.values())
+    if wrong := [
+        f"when.{name}: {name} shares a dimension with {', '.join(one for one in group if one != name) or 'its table'} "
+        f"and has an effect only at some values of {other}: give a table of points that has {other} as a column"
+        for name, (other, group) in across.items()
+        if name in study.partial
+    ]:
+        raise SweepError(wrong, study.source)
     values = {name: (value,) for name, value in study.fixed.items()} | dict(study.axes)
     required = [one.name for one in study.experiment.parameters if not one.optional and one.default is not None]
     may_lack = [name for name in required if name in study.when and None in values.get(name, ())]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from linksweep.sweep.contract import Experiment, Named, Point, SweepError, Unknown, Value, shown
 from linksweep.sweep.formatting import counted
-from linksweep.sweep.planning.grid import MAX_POINTS, NO_EFFECT, Grid, GridPoint, all_but
+from linksweep.sweep.planning.grid import MAX_POINTS, NO_EFFECT, Grid, GridPoint, all_but, depending_across
 from linksweep.sweep.studies.points import MAX_VALUES, Values, labels_of, numbers_like, require_distinct
 from linksweep.sweep.studies.study import POINT, PointTable, Sampling, Study
 from linksweep.sweep.tables.columns import sorted_json
@@ -66,7 +66,9 @@ def united(stored: Study, asked: Study, in_ledger: Collection[bytes] = (), *, is
     """
     theirs, mine = Grid(stored), Grid(asked)
     defaults = asked.experiment.defaults()
-    was, now = ({**defaults, **one.experiment.defaults(), **one.fixed} for one in (stored, asked))
+    # an object that is a default is what the code has there now, as its points are known without it
+    plain = {n: v for n, v in stored.experiment.defaults().items() if not isinstance(defaults.get(n), Named)}
+    was, now = {**defaults, **plain, **stored.fixed}, {**defaults, **asked.fixed}
     defined = {(one.name, named.name): named for one in asked.experiment.parameters for named in one.defined}
 
     places = theirs.indices()
@@ -93,20 +95,19 @@ def united(stored: Study, asked: Study, in_ledger: Collection[bytes] = (), *, is
     excluded = tuple(clause for clause in asked.excluded if clause in stored.excluded)
     kept.pop(POINT, None)  # with rows that repeat others, and those that are not there yet
     rows = _crossed([(theirs, was, kept, idle), (mine, now, {}, mine.idle(mine.indices()))], changed)
-    n = len(places) + len(mine)
-    most = max(SMALL, min(MAX_POINTS, SPARSEST * n, n + MOST_LEFT_OUT))
-    are_lost = any(one.labels and {*one.names} != {*tables[0].names} for one in tables)
-    others = [some for names, some in rows.items() if {*names} != {*(tables and tables[0].names)}]
-    columns = [column for some in others for column in zip(*some, strict=True)]
+    most = max(SMALL, min(MAX_POINTS, SPARSEST * (n := len(places) + len(mine)), n + MOST_LEFT_OUT))
+    table = {*(tables and tables[0].names)}
+    are_lost = any(one.labels and {*one.names} != table for one in tables)
+    columns = [column for names, some in rows.items() if {*names} != table for column in zip(*some, strict=True)]
     repeat = any(len({*map(sorted_json, column)}) < len(column) for column in columns)  # no values of an axis do
-    if are_lost or repeat or not _is_crossed(theirs, mine) or math.prod(map(len, rows.values())) > most:
+    if are_lost or repeat or not _is_crossed(theirs, mine, rows, table) or math.prod(map(len, rows.values())) > most:
         names = tuple(dict.fromkeys([*stored.axes, *asked.axes, *changed]))
         old = [tuple({**was, **p.parameters}[name] for name in names) for p in theirs.points(theirs.repeated(places))]
         new = [tuple(p.parameters[name] for name in names) for p in mine.points(mine.repeated(mine.indices()))]
         rows, excluded, tables = {names: _joined(old, new)}, (), [PointTable(names)]
         if len(rows[names]) > MAX_VALUES:
             raise SweepError(f"the store and the study are together a table of more than {MAX_VALUES:,} points")
-    values = _columns(rows, asked.experiment, {named: named for named in defined.values()}, is_table=bool(tables))
+    values = _columns(rows, asked.experiment, is_table=bool(tables))
     points = None
     if tables:
         size = len(values[tables[0].names[0]])
@@ -117,7 +118,7 @@ def united(stored: Study, asked: Study, in_ledger: Collection[bytes] = (), *, is
         points = PointTable(tables[0].names, whole[0].origin if whole else {UNITED: True}, labels)
     result = replace(
         asked,
-        experiment=_experiment(stored, asked),
+        experiment=_experiment(stored, asked, values),
         axes=values,
         fixed={name: value for name, value in asked.fixed.items() if name not in values},
         sampling=_sampling(stored, asked),
@@ -136,16 +137,15 @@ def united(stored: Study, asked: Study, in_ledger: Collection[bytes] = (), *, is
     return replace(result, document=_document(stored, asked, result))
 
 
-def _columns(
-    rows: Rows, experiment: Experiment, known: Mapping[Named, Named], *, is_table: bool
-) -> dict[str, tuple[Value, ...]]:
-    """Return the values of each axis, of equal ones those that are ``known``, which can be computed with; raises
-    SweepError for values that cannot be on one axis of the experiment.
+def _columns(rows: Rows, experiment: Experiment, *, is_table: bool) -> dict[str, tuple[Value, ...]]:
+    """Return the values of each axis, of equal ones those that the experiment has, which can be computed with; raises
+    SweepError for values that cannot be on one axis of it.
     """
     columns: dict[str, tuple[Value, ...]] = {}
     for names, some in rows.items():
         for name, column in zip(names, zip(*some, strict=True), strict=True):
             parameter = experiment.parameter(name)
+            known = {value: value for value in (parameter.default, *parameter.defined)}
             columns[name] = tuple(known.get(value, value) if isinstance(value, Named) else value for value in column)
             try:
                 plain = {(type(value), value): value for value in column if not isinstance(value, Named)}
@@ -181,8 +181,12 @@ def _keys(columns: Mapping[str, Sequence[Value]], names: Sequence[str]) -> list[
     return [sorted_json(list(row)) for row in zip(*(columns[name] for name in names), strict=True)]
 
 
-def _is_crossed(theirs: Grid, mine: Grid) -> bool:
-    """Return whether axes that share a dimension in one of two grids do so in both, or are constants in the other."""
+def _is_crossed(theirs: Grid, mine: Grid, rows: Rows, table: Collection[str]) -> bool:
+    """Return whether axes that share a dimension in one of two grids do so in both, or are constants in the other, and
+    whether each has an effect or none wherever it is along a shared one of the joined ``rows``.
+    """
+    if depending_across(mine.study, [names for names in rows if len(names) > 1 or {*names} == table], rows):
+        return False
     groups = [{(frozenset(axes), name == POINT) for name, axes in grid.dimensions.items()} for grid in (theirs, mine)]
     return all(
         group in other or group[0].isdisjoint(grid.study.axes)
@@ -227,12 +231,12 @@ def _joined(old: list[Row], new: list[Row]) -> list[Row]:
     return joined
 
 
-def _experiment(stored: Study, asked: Study) -> Experiment:
+def _experiment(stored: Study, asked: Study, columns: Mapping[str, Sequence[Value]]) -> Experiment:
     """Return the experiment with the named values of both; the store has no more of its own than their identity."""
     experiment, parameters = asked.experiment, []
     for parameter in experiment.parameters:
-        values = (*parameter.defined, *stored.axes.get(parameter.name, ()), stored.fixed.get(parameter.name))
-        names = {one.name: one for one in reversed(values) if isinstance(one, Named)}
+        values = (*parameter.defined, *columns.get(parameter.name, ()))
+        names = {one.name: one for one in values if isinstance(one, Named)}
         parameters.append(replace(parameter, defined=tuple(names.values())))
     if tuple(parameters) == experiment.parameters:
         return experiment

@@ -255,8 +255,9 @@ def _on_axis(study: Study, name: str, text: str) -> dict[str, Any]:
     if name not in study.axes:
         raise ValueError(f"{name}: is not an axis{suggest(name, list(study.axes))}")
     parameter = study.experiment.parameter(name)
-    value = parameter.parse(parse_value(text, is_text=parameter.kind == "str"))
     axis = list(dict.fromkeys([*study.axes[name], *[None] * (name in study.partial)]))
+    is_none = text == "None" and None in axis and text not in axis
+    value = None if is_none else parameter.parse(parse_value(text, is_text=parameter.kind == "str"))
     if all(is_other(value, one) for one in axis):
         if not (hits := meant(axis, value)):
             raise ValueError(f"{name} = {shown(value)}: not on the axis, which has {first_of(plain(axis), MOST_NAMED)}")

@@ -304,13 +304,14 @@ def check_points(opened: OpenStore, study: Study) -> None:
     if study.points is None or not old or UNITED in table.get("origin", {}):
         return
     names = [name for name in dict.fromkeys([*old, *study.points.names]) if name not in table.get("labels", ())]
-    settings = study.experiment.defaults()
+    settings = {one.name: one.written(one.default) for one in study.experiment.parameters}
     crossed = {*document.get("axes", ()), *study.axes} - {*study.points.names}
     if not {*names} <= settings.keys() - crossed:  # one is an axis, or no parameter any more: points are joined as such
         return
     rows = min(len(next(iter(old.values()))), len(study.axes[study.points.names[0]]))
     was = {name: old.get(name) or rows * [document.get("fixed", {}).get(name, settings[name])] for name in names}
-    now = {name: study.axes.get(name) or rows * [study.fixed.get(name, settings[name])] for name in names}
+    values = {**study.experiment.defaults(), **study.fixed}
+    now = {name: study.axes.get(name) or rows * [values[name]] for name in names}
     now = {name: list(map(study.experiment.parameter(name).written, now[name])) for name in names}
     changed = next(((i, n) for i in range(rows) for n in names if was[n][i] != now[n][i]), None)
     if changed is not None:

@@ -3,6 +3,7 @@ table [points] of a study, which is a file, a design, columns, or a table in Pyt
 """
 
 import datetime
+import inspect
 import json
 import math
 import re
@@ -11,7 +12,7 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from decimal import Context, Decimal
 from enum import Enum
 from fractions import Fraction
@@ -669,7 +670,8 @@ def _derived(reference: str, columns: Cells, settings: Mapping[str, Any], values
     function = code.function(reference, values.folder)
     for number, row in enumerate(zip(*columns.values(), strict=True), start=1):
         try:
-            result = function({**settings, **dict(zip(columns, row, strict=True))})
+            given = {**settings, **dict(zip(columns, row, strict=True))}
+            result = function({n: one.value if isinstance(one, Named) else one for n, one in given.items()})
         except Exception as error:  # whatever a user's function raises
             raise ValueError(f"row {number}: {reference} raises {type(error).__name__}: {error}") from error
         if not isinstance(result, Mapping) or (derived and result.keys() != derived.keys()) or result.keys() & columns:
@@ -726,6 +728,19 @@ def labelled(value: Any, label: str = "") -> Named:
         if label == "<lambda>" or " at 0x" in label or "..." in label or len(label) > LONGEST_LABEL:
             raise ValueError(f"{shown(value)} has no label of its own; give it one, {{'label': value}}")
     return Named(str(label), json.dumps(parts, sort_keys=True), value)
+
+
+def with_default_objects(experiment: Experiment) -> Experiment:
+    """Return the experiment of a function with the objects among its defaults, where they have labels of their own."""
+    if (call := getattr(experiment, "call", None)) is None:
+        return experiment
+    arguments, parameters = inspect.signature(call).parameters, list(experiment.parameters)
+    for place, one in enumerate(parameters):
+        default = arguments[one.name].default
+        if one.takes_objects and one.default is None and not one.required and default is not None:
+            with suppress(ValueError):
+                parameters[place] = replace(one, default=labelled(default))
+    return replace(experiment, parameters=tuple(parameters))
 
 
 def plain_values(values: Any, where: str) -> Any:

@@ -23,7 +23,16 @@ from linksweep.sweep.contract import DefinitionError, Experiment, Function, Name
 from linksweep.sweep.formatting import split_assignment
 from linksweep.sweep.functions.adapter import is_plain_function, name_of
 from linksweep.sweep.studies import built_in_studies
-from linksweep.sweep.studies.points import KeyPath, Problems, Values, plain_study, read_cell, read_points, with_labels
+from linksweep.sweep.studies.points import (
+    KeyPath,
+    Problems,
+    Values,
+    plain_study,
+    read_cell,
+    read_points,
+    with_default_objects,
+    with_labels,
+)
 from linksweep.sweep.studies.study import DEFAULT_EXPERIMENT, Condition, Context, Form, Part, Published, Sampling, Study
 from linksweep.sweep.tables.columns import TableFile
 
@@ -89,11 +98,12 @@ def parsed(text: str, path: Path) -> dict[str, Any]:
 @dataclass
 class Overrides:
     """The options of the command line that change a study, pairs of a flag and its text; ``by_place`` says which of
-    them gave the value at a place of the document.
+    them gave the value at a place of the document, ``for_text`` whether that is written as a text too.
     """
 
     written: Sequence[tuple[str, str]] = ()
     by_place: dict[KeyPath, str] = field(default_factory=dict)
+    for_text: bool = False
 
     def apply(
         self, document: dict[str, Any], parameters: Collection[str], texts: Collection[str], problems: list[str]
@@ -317,7 +327,9 @@ def load_study(
         document = parsed(text, path)
     by_flag = {"--set": settings, "--axis": axes, "--points": [points], "--design": [design]}
     by_flag |= {"--range": ranges, "--exclude": exclude}
-    options = Overrides([(flag, text) for flag, texts in by_flag.items() for text in texts if text is not None])
+    options = Overrides(
+        [(flag, text) for flag, texts in by_flag.items() for text in texts if text is not None], for_text=True
+    )
     return _Reader(document, text, path, function or str(path), options, Code()).study()
 
 
@@ -402,7 +414,7 @@ class _Reader:
         # Definitions before values, which may be defined; points before axes and what is fixed, which may repeat them;
         # and last what is said of all these.
         form, experiment, is_whole = self._form_and_experiment()
-        experiment = self._defined(experiment, form.define)
+        experiment = with_default_objects(self._defined(experiment, form.define))
         when = {one.name: one.when for one in experiment.parameters if one.when} | form.when
         parameters = [replace(one, when=when.get(one.name, {})) for one in experiment.parameters]
         experiment = replace(experiment, parameters=tuple(parameters)) if when else experiment
@@ -493,7 +505,7 @@ class _Reader:
         for parameter in experiment.parameters:
             name = parameter.name
             values = (*parameter.defined, *(axes.get(name) or ()), *([fixed[name]] if name in fixed else []))
-            if parameter.takes_objects:
+            if parameter.takes_objects or parameter.optional:
                 with self.problems.at(("axes" if name in axes else "fixed", name)):
                     Values.require_labels(values)
             objects = tuple({one.name: one for one in values if isinstance(one, Named)}.values())
@@ -517,6 +529,11 @@ class _Reader:
         names = [] if experiment is None or is_sampled else [one.name for one in experiment.parameters]
         texts = [] if experiment is None else [one.name for one in experiment.parameters if one.kind == "str"]
         self.options.apply(self.document, names, texts, self.problems.sentences)
+        if self.options.for_text and experiment is not None:
+            reads_none = {one.name: one.reads_none for one in experiment.parameters}
+            self.document = {
+                k: one if k == "define" else _with_none(one, reads_none) for k, one in self.document.items()
+            }
         document = {key: section for key, section in self.document.items() if key not in STATEMENTS}
         form = _read_form(document, self.problems)
         for reason in reasons:
@@ -612,6 +629,16 @@ def problems_of_results(study: Study) -> list[str]:
     return problems.sentences
 
 
+def _with_none(raw: Any, reads_none: Mapping[str, bool], name: str = "") -> Any:
+    """Return a part of a written study with None for the text None where the parameter with a ``name`` reads it so."""
+    if isinstance(raw, dict):
+        inner = {key: key if key in reads_none else name * (key in ("values", "equal", "in")) for key in raw}
+        return {key: _with_none(one, reads_none, inner[key]) for key, one in raw.items()}
+    if isinstance(raw, list):
+        return [_with_none(one, reads_none, name) for one in raw]
+    return None if raw == "None" and reads_none.get(name) else raw
+
+
 def _read_form(
     document: Mapping[str, Any], problems: Problems, context: Context | None = None
 ) -> Form | set[str | int]:
@@ -670,8 +697,8 @@ def _read_published(form: Form, values: Values, axes: Collection[str]) -> Publis
                     raise ValueError(f"does not have {len(reader.fieldnames or ())} cells as the header has")
                 for column, cell in row.items():
                     if column in parameters and (column not in outputs or column in axes):
-                        kind = parameters[column].kind
-                        parameters[column].parse(cell if kind == "str" else read_cell(cell, kind))
+                        kind, is_none = parameters[column].kind, cell == "None" and parameters[column].reads_none
+                        parameters[column].parse(None if is_none else cell if kind == "str" else read_cell(cell, kind))
                     elif cell and isinstance(read_cell(cell, "float"), str):
                         raise ValueError(f"{column} = {shown(cell)}: must be a number or empty")
         return Published(about, tuple(row for _, row in rows))

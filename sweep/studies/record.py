@@ -136,6 +136,9 @@ def _made(kind: Any, stored: Mapping[str, Any]) -> Any:
     values = {name: _tuples(value) for name, value in stored.items() if name in known}
     if "defined" in values:
         values["defined"] = tuple(Named(name, identity, Unknown) for name, identity in values["defined"])
+    default, kinds = values.get("default"), ("any", "object")
+    if kind is Parameter and values.get("kind", "any") in kinds and isinstance(default, tuple):
+        values["default"] = Named(default[0], default[1], Unknown)
     return kind(**({"default": None} if kind is Parameter else {}) | values)
 
 

@@ -89,41 +89,45 @@ def holding(inner):
 
 
 THINGS = st.recursive(PLAIN, holding, max_leaves=5)
+BESIDE = st.lists(st.tuples(st.sampled_from([{}, {"(0,)": (0,)}]), st.booleans()), min_size=2, max_size=2)
 
 
-@given(things=st.lists(THINGS, min_size=1, max_size=6, unique_by=repr), some=st.integers(1, 6), seed=st.randoms())
+@given(st.lists(THINGS, min_size=1, max_size=6, unique_by=repr), st.integers(1, 6), st.randoms(), BESIDE)
 @settings(max_examples=examples(15), derandomize=True)
-def test_what_is_there_under_a_label_is_not_computed_again(tmp_path_factory, things, some, seed):
-    calls = []
+def test_what_is_there_under_a_label_is_not_computed_again(tmp_path_factory, things, some, seed, beside):
+    calls, expected = [], dict[tuple[str, str], str]()
 
-    def seen(thing):
-        calls.append(repr(thing))
-        return repr(thing)
+    def seen(thing, other=(0,)):
+        calls.append(repr((thing, other)))
+        return calls[-1]
 
     store = tmp_path_factory.mktemp("objects") / "s.zarr"
     labels = {f"label {number}": thing for number, thing in enumerate(things)}
     few, others = (dict(seed.sample(list(labels.items()), min(k, len(labels)))) for k in (some, seed.randint(1, 6)))
-    for axis in (few, others):
-        number = len(calls)
-        ds = linksweep.run(seen, store, axes={"thing": axis}, pool="serial")
-        assert ds.seen.values.tolist() == list(map(repr, axis.values()))
-    assert set(calls[number:]) == {repr(labels[label]) for label in others.keys() - few.keys()}
-    whole = linksweep.open(store)
-    expected = {label: repr(thing) for label, thing in (few | others).items()}
-    assert dict(zip(whole.thing.values.tolist(), whole.seen.values.tolist(), strict=True)) == expected
+    for axis, (default, is_more) in zip((few, others), beside, strict=True):
+        more = default | {f"other {label}": thing for label, thing in few.items() if is_more}
+        number, pairs = len(calls), itertools.product(axis.items(), (more or {"(0,)": (0,)}).items())
+        ds = linksweep.run(seen, store, axes={"thing": axis} | ({"other": more} if more else {}), pool="serial")
+        asked = {(label, name): repr((thing, other)) for (label, thing), (name, other) in pairs}
+        assert ds.seen.values.ravel().tolist() == list(asked.values())
+        assert set(calls[number:]) == {text for key, text in asked.items() if key not in expected}
+        expected |= asked
+    whole = linksweep.open(store).seen
+    whole = whole if "other" in whole.dims else whole.expand_dims(other=["(0,)"])
+    assert dict(whole.transpose("thing", "other").to_series().replace("", np.nan).dropna()) == expected
 
 
 def test_an_object_of_ones_own_needs_a_label_and_constants_and_tables_have_objects(tmp_path):
     ds = run(tmp_path / "s.zarr", axes={"thing": {"small": Net(8), "large": Net(16)}, "x": [1.0, 2.0]})
     assert ds.y.sel(x=2.0).values.tolist() == [16.0, 32.0]
     assert run(tmp_path / "c.zarr", fixed={"thing": (1, 2)}).text.item() == "tuple (1, 2)"
-    things = [(1, 2), None, Colour.BLUE, np.sin, [3]]
-    table = {"thing": things, "x": [1.0, 2.0, 3.0, 4.0, 5.0]}
+    things = [(1, 2), None, Colour.BLUE, np.sin, [3], {"k": (1, 2)}, (1, (2, 3))]
+    table = {"thing": things, "x": [*map(float, range(7))], "w": list("abcdefg")}
     for number, points in enumerate((table, pd.DataFrame(table))):
-        for rows in (3, 3, 5):  # it goes on and grows
+        for rows in (3, 3, 7):  # it goes on and grows
             part = points.head(rows) if number else {name: column[:rows] for name, column in table.items()}
-            ds = run(tmp_path / f"t{number}.zarr", points=part)
-        assert ds.thing.values.tolist() == ["(1, 2)", "None", "BLUE", "sin", "[3]"]
+            ds = run(tmp_path / f"t{number}.zarr", points=part, labels="w")
+        assert ds.thing.values.tolist() == ["(1, 2)", "None", "BLUE", "sin", "[3]", "{'k': (1, 2)}", "(1, (2, 3))"]
         assert ds.text.values.tolist() == [described(thing)["text"] for thing in things]
 
 
@@ -165,9 +169,11 @@ def test_where_a_declared_parameter_has_no_effect_there_is_one_point_without_it(
         return {"linear": 0.0, "rbf": 10.0, "poly": 20.0}[kernel] + gamma + 100.0 * c
 
     for kernels, gammas in ((["linear", "rbf"], [0.5, 1.0]), (["linear", "poly"], [2.0, 0.5])):
-        axes = {"kernel": kernels, "gamma": gammas}
-        ds = linksweep.run(fit, tmp_path / "s.zarr", axes=axes, pool="serial")
+        ds = linksweep.run(fit, tmp_path / "s.zarr", axes={"kernel": kernels, "gamma": gammas}, pool="serial")
         assert (ds.attrs["points"], ds.attrs["complete"], ds.fit.units) == (3, 1, "mm")
+    axes, zipped = {"kernel": kernels, "gamma": gammas, "c": gammas}, [["gamma", "c"]]
+    with pytest.raises(SweepError, match="gamma shares a dimension"):
+        linksweep.run({"experiment": fit, "axes": axes, "grid": {"zip": zipped}}, tmp_path / "z.zarr")
     whole = linksweep.open(tmp_path / "s.zarr").fit
     for kernel, values in {"linear": [107.0], "rbf": [110.5, 111.0], "poly": [120.5, 122.0]}.items():
         found = whole.sel(kernel=kernel).values
@@ -255,10 +261,14 @@ def test_conditions_of_any_depth_hold_at_each_point_wherever_its_values_come_fro
             for name in sorted(when):  # each depends on those before it
                 if any(point[other] not in some for other, some in when[name].items()):
                     point[name], told[name] = None, DEFAULTS[name]
-            result = chained(**told)
-            expected[tuple(point.values())] = result
+            expected[tuple(point.values())] = result = chained(**told)
             asked.add(result)
-        ds = linksweep.run(study | {"experiment": chained, "when": when}, store, pool="serial", keep=True)
+        try:
+            ds = linksweep.run(study | {"experiment": chained, "when": when}, store, pool="serial", keep=True)
+        except SweepError as error:
+            if "shares a dimension" in str(error) and study.keys() & {"grid", "points"}:
+                return
+            raise
         assert {*ds.chained.values[ds.status.values == 1]} == asked
         linksweep.run(study | {"experiment": chained, "when": when}, store.with_name(f"{number}"), pool="serial")
     merge([store.with_name("0"), store.with_name("1")], store.with_name("merged"))
@@ -342,8 +352,7 @@ def test_the_numbers_of_a_point_do_not_depend_on_the_others(tmp_path, sweep, mor
 def test_numbers_that_are_no_two_coordinates_are_refused(tmp_path, sweep, axis):
     (tmp_path / "m.py").write_text("def f(x):\n    return x\n")
     code, _, said = sweep("run", "m.py:f", "--axis", axis, "-o", "s.zarr", cwd=tmp_path)
-    assert (code, (tmp_path / "s.zarr").exists()) == (2, False)
-    assert axis[2:].split(",")[0] in said
+    assert (code, (tmp_path / "s.zarr").exists(), axis[2:].split(",")[0] in said) == (2, False, True)
 
 
 class Level(enum.IntEnum):
@@ -382,13 +391,6 @@ def test_objects_of_other_runs_are_never_computed_without_their_script(here, swe
     assert linksweep.open("f.zarr").f.values.tolist() == ["((1, 'a'), 2)", "(1, 2)", "(2, 2)"]
 
 
-def test_tuples_of_a_table_with_labels_stay_tuples(tmp_path):
-    things = [(1, 2), [1, 2], {"k": (1, 2)}, (1, (2, 3))]
-    table = {"x": things, "w": list("abcd")}
-    ds = linksweep.run(lambda x: repr(x) + "", tmp_path / "s.zarr", points=table, labels="w", pool="serial")
-    assert ds.result.values.tolist() == [repr(thing) for thing in things]
-
-
 @pytest.mark.parametrize("rows", [ROWS, xr.DataArray(ROWS), pd.DataFrame(ROWS), np.ma.array(ROWS), Column(ROWS)])
 def test_rows_of_an_array_are_arrays_as_one_by_one(rows, tmp_path):
     places = ({"axes": {"p": rows}}, {"axes": {"p": {"values": rows}}}, {"points": {"p": rows}})
@@ -403,11 +405,7 @@ def test_what_has_no_label_of_its_own_in_a_store_is_refused_before_it_is_there(t
         return sweep("run", "v.py:score", "--axis", axis, "-o", "s.zarr", *more, cwd=tmp_path)
 
     assert run("version=1,2")[0] == 0
-    wrong = [
-        ('"1",2b', "", "two values have the label '1'"),
-        ("2,3", ": float", "would be"),
-        ("a,b", ": str", "must be"),
-    ]
+    wrong = [('"1",2b', "", "have the label '1'"), ("2,3", ": float", "would be"), ("a,b", ": str", "must be")]
     for values, annotation, words in wrong:
         code, _, err = run(f"version={values}", "--accept-code", annotation=annotation)
         assert (code, words in err, "--only" in err) == (2, True, True), err
