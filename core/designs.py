@@ -25,7 +25,6 @@ arithmetic.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -158,17 +157,16 @@ def fixed_designs(setups: Sequence[Setup], shared: Prefixes) -> tuple[list[Fixed
     """
     first = setups[0]
     unknowns, optimal = len(first.truth), first.scenario.weighting == "inverse-variance"
-    columns_of = cache(lambda whole: _columns(whole, 1 if optimal else 2, shared))
-    columns = [columns_of(setup.whole or setup)[: len(setup.catalogue)] for setup in setups]
+    columns = [_columns(setup, 1 if optimal else 2, shared) for setup in setups]
     products = np.stack([shared.products(setup.stacked(each)) for setup, each in zip(setups, columns, strict=True)])
-    solving = slice(0, unknowns) if optimal else slice(unknowns, 2 * unknowns)
-    matrices = _matrices(products, slice(0, unknowns), solving, first.fixed)
+    matrices = _matrices(products, unknowns, first.fixed)
     designs = [FixedDesign(*each) for each in zip(*matrices, setups, columns, strict=True)]
     return designs, Matrices(*matrices)
 
 
-def _matrices(products: Array, design: slice, solving: slice, fixed: slice) -> tuple[Array, ...]:
+def _matrices(products: Array, unknowns: int, fixed: slice) -> tuple[Array, ...]:
     """Return the small matrices of `Matrices`, in its order, from the products (..., C, C) of the columns."""
+    design, solving = slice(unknowns), slice(-1 - unknowns, -1)
     normal, design_misclosure = products[..., design, design], products[..., design, -1]
     # for equal weights the estimate is (A^T A)^-1 A^T y with A = sigma a, and A^T A = a^T (sigma^2 a)
     solved = products[..., design, solving].copy()
@@ -181,7 +179,7 @@ def _matrices(products: Array, design: slice, solving: slice, fixed: slice) -> t
         inverse,
         bias,
         # a^T r of the optimal weights is zero but for rounding, which chi2 would multiply
-        np.zeros_like(bias) if solving == design else design_residual,
+        np.zeros_like(bias) if products.shape[-1] == unknowns + 1 else design_residual,
         np.maximum(0.0, products[..., -1, -1] - np.vecdot(bias, design_misclosure + design_residual)),
         np.einsum("...ki,...ij,...jl->...kl", inverse, products[..., solving, solving], inverse),
         condition_number,

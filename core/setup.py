@@ -338,12 +338,11 @@ class Noise:
         return covariance if self.field is None else covariance + self.field.covariance_through(gain)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Setup:
     """What all realisations of one catalogue share, in rad and rad/yr; K unknowns, N objects.
 
     In a ``stack`` of catalogues the objects of one follow those of the one before, and the truth is the same for all.
-    ``whole`` is that of a larger catalogue which begins with these objects, all else being equal.
     """
 
     scenario: Scenario
@@ -355,14 +354,13 @@ class Setup:
     sigma: Array  # (N, 4), as the link weighs the differences
     measured: tuple[bool, bool] = (True, True)  # positions, proper motions
     stack: Stack = ()
-    whole: "Setup | None" = None
 
     def head(self, scenario: Scenario, catalogue: Catalogue) -> "Setup":
         """Return that of a smaller catalogue, of a scenario that is the same but for its size."""
         cut = slice(len(catalogue))
         reference, satellite = (replace(side, stated=side.stated[cut]) for side in (self.reference, self.satellite))
         differences, sigma = self.differences[cut], self.sigma[cut]
-        return Setup(scenario, catalogue, self.truth, differences, reference, satellite, sigma, whole=self)
+        return Setup(scenario, catalogue, self.truth, differences, reference, satellite, sigma)
 
     @property
     def n_obj(self) -> int:

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from functools import partial
-from itertools import zip_longest
+from itertools import chain, zip_longest
 from typing import Any, TypeVar, cast
 
 import numpy as np
@@ -88,8 +88,7 @@ def _simulate(
         kind = len(one.truth), one.scenario.weighting, one.scenario.method, one.measured, bool(one.reference)
         alike.setdefault(kind, []).append(k)
     groups = [_Group([setups[k] for k in some], prefixes, n_sim, keep_estimates) for some in alike.values()]
-    paths = [path for group in groups for path in group.paths]
-    noisy = [path for path in paths if isinstance(path, NoisyDesign)]
+    noisy = [path for group in groups for path in group.paths if isinstance(path, NoisyDesign)]
     zonal = any(scenario.zonal is not None for scenario in scenarios)
     # each side is drawn as far as its largest catalogue goes, and not at all where no point has errors on it
     satellite_objects, reference_objects = map(max, zip(*(setup.drawn for setup in setups.values()), strict=True))
@@ -110,9 +109,7 @@ def _simulate(
                     path.add(satellite, reference)
         for group, results in zip(groups, solved, strict=True):
             group.add([result() for result in results])
-    sums: dict[int, Sums] = {}
-    for group, some in zip(groups, alike.values(), strict=True):
-        sums |= zip(some, group.sums(), strict=True)
+    sums = dict(zip(chain(*alike.values()), chain(*(group.sums() for group in groups)), strict=True))
     return [sums[k] for k in range(len(scenarios))]
 
 

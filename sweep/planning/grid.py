@@ -296,7 +296,7 @@ def make_grid(study: Study) -> Grid:
     values = {name: (value,) for name, value in study.fixed.items()} | dict(study.axes)
     required = [one.name for one in study.experiment.parameters if not one.optional and one.default is not None]
     may_lack = [name for name in required if name in study.when and None in values.get(name, ())]
-    judged = PointCache(partial(_judged, study, may_lack), study.varying)
+    judged = PointCache(partial(_judged, study, may_lack), study.varying, most=1)
     reasons, warnings = Counter[str](), Counter[str]()
     idle: Mapping[str, str] | None = None  # fixed parameters that mattered at no point so far
     last: object = None
@@ -367,15 +367,15 @@ def _with_points(counts: Mapping[str, int], what: str) -> list[str]:
 
 
 class PointCache(Generic[T]):
-    """A function of a point, called once for each combination of values of those axes that it looks at, as far as
-    memory goes: a plan asks for the cost of a point with each of its blocks.
+    """A function of a point, called once for each combination of values of those axes that it looks at.
 
-    In a grid of a million points an experiment's check or cost rarely looks at all axes.  The function must depend on
-    its point alone.
+    In a grid of a million points an experiment's check or cost rarely looks at all axes.  If it does, at most ``most``
+    answers are kept: none is needed twice where each point is asked about once.  The function must depend on its point
+    alone.
     """
 
-    def __init__(self, function: Callable[[Point], T], axes: Collection[str]) -> None:
-        self._function, self._axes = function, axes
+    def __init__(self, function: Callable[[Point], T], axes: Collection[str], most: int = MAX_KEPT) -> None:
+        self._function, self._axes, self._most = function, axes, most
         self._read: tuple[str, ...] = ()
         self._known: dict[tuple[Any, ...], T] = {}
 
@@ -390,7 +390,7 @@ class PointCache(Generic[T]):
             self._read += tuple(new)
             self._known.clear()  # their keys lack the axes that are new
             key = tuple([parameters[name] for name in self._read])
-        if len(self._known) < MAX_KEPT:
+        if len(self._known) < (MAX_KEPT if len(self._read) < len(self._axes) else self._most):
             self._known[key] = answer
         return answer
 

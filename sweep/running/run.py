@@ -755,8 +755,9 @@ class Session:
             writer.pending.most_blocks = min(failing.most_at_once or most_blocks, most_blocks)
             study, is_missing, keep = self.study, self.accumulator.is_missing, writer.store.keep
             results = execute(lambda n: [Batch(study, some, is_missing, keep) for some in writer.pending.take(n)])
-            # A labelled, if empty, dataset from the start, but not where that makes the workers wait in a short run.
-            if pending.blocks and (not study.experiment.says_cost or pending.cost > 256 * TARGET):
+            # A labelled dataset from the start; not an empty one, for which the workers would wait, in a short run.
+            short = 256 * TARGET if self._is_new else TARGET
+            if pending.blocks and (not study.experiment.says_cost or pending.cost > short):
                 writer.write()
             elif pending.cost > TARGET:  # now, while workers begin: the end of the run would wait for it
                 import_module("zarr.storage")

@@ -138,7 +138,9 @@ def status_report(store: Where) -> dict[str, Any]:
     is_written = ledger.manifest == manifest_of(opened.root)
     complete = is_written and bool(np.isin(status, (DONE, EXCLUDED)).all())
     state, why = _state_of(location, status, is_written)
-    note = {"note": UNFINISHED} if is_new(opened.root) else {"note": why} if why == CUT_SHORT else {}
+    note = {"note": why} if why == CUT_SHORT else {}
+    if is_new(opened.root) and state != "running":
+        note = {"note": UNFINISHED}
     if points.is_adaptive and not note and not complete:
         note = {"note": "as of the last writing: only the experiment can say how many realisations are needed"}
     random: dict[str, int] = {}
