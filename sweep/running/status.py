@@ -129,7 +129,7 @@ def status_report(store: Where) -> dict[str, Any]:
     parts = sorted(part for name in names if (part := Part.named(name)) and name == part.place(location.name))
     if parts:
         return _of_parts(location, parts)
-    opened = OpenStore(location)
+    runs, opened = holder(location), OpenStore(location)
     attributes, ledger = opened.attributes, opened.ledger()
     points = _Points(attributes, str(location))
     study, grid = points.study, points.grid
@@ -137,7 +137,7 @@ def status_report(store: Where) -> dict[str, Any]:
     status, realisations, _ = points.progress(opened, blocks, ledger.failures)
     is_written = ledger.manifest == manifest_of(opened.root)
     complete = is_written and bool(np.isin(status, (DONE, EXCLUDED)).all())
-    state, why = _state_of(location, status, is_written)
+    state, why = _state_of(runs, status, is_written)
     note = {"note": why} if why == CUT_SHORT else {}
     if is_new(opened.root) and state != "running":
         note = {"note": UNFINISHED}
@@ -171,9 +171,11 @@ def status_report(store: Where) -> dict[str, Any]:
     }
 
 
-def _state_of(store: Location, status: NDArray[np.int8], is_written: bool) -> tuple[str, str]:
-    """Return whether a store is "running", "finished" or "stopped" (nobody runs it), and why."""
-    if (runs := holder(store)) is not None:
+def _state_of(runs: object, status: NDArray[np.int8], is_written: bool) -> tuple[str, str]:
+    """Return whether a store is "running", "finished" or "stopped" (nobody runs it), and why; ``runs`` is its `holder`
+    before it was read, so that a run which ends meanwhile is not taken for one that was killed.
+    """
+    if runs is not None:
         return "running", str(runs)
     if (status == MISSING).any():
         return "stopped", "nobody runs it"
@@ -249,9 +251,10 @@ class Watched:
         """Read what has changed."""
         try:
             with reading(self.location):
+                runs = holder(self.location)
                 self._read()
             if self.opened is not None and self._points is not None:
-                self.state, self.words = _state_of(self.location, self.status, self._is_written)
+                self.state, self.words = _state_of(runs, self.status, self._is_written)
             else:
                 self.state, self.words = ("waiting", "no store yet") if self.opened is None else ("gone", "removed")
         except SweepError as error:
