@@ -285,7 +285,7 @@ def prefixed(values: Any, unit: str) -> Prefixed:
         >>> prefixed(0.65, "mas / yr"), prefixed(0.002, "d")
         (Prefixed(unit='mas / yr', factor=1.0), Prefixed(unit='d', factor=1.0))
         >>> prefixed([1e-320, 1.0], "m / s")
-        Prefixed(unit='nm / s', factor=1000000000.0)
+        Prefixed(unit='m / s', factor=1.0)
     """
     here = Prefixed(unit, 1.0)
     choices = _choices(unit)

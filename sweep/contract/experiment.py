@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.sweep.contract.rows import Array, Outcome, Reducer, Rows
-from linksweep.sweep.formatting import harmless, plain
+from linksweep.sweep.formatting import ESCAPED, harmless, plain
 
 # The most names that a message lists.
 FEW = 20
@@ -99,7 +99,8 @@ def nearest(word: str, known: Sequence[str]) -> str:
 
 def suggest(word: str, known: Sequence[str]) -> str:
     """Return what `nearest` does, or else the list of known words if it is short."""
-    return nearest(word, known) or (f"; known are {', '.join(sorted(known))}" if 0 < len(known) <= FEW else "")
+    listed = f"; known are {', '.join(sorted(known))}".translate(ESCAPED)
+    return nearest(word, known) or (listed if 0 < len(known) <= FEW else "")
 
 
 # Recognised without astropy, whose import takes longer than a command that needs nothing else from it.
@@ -335,7 +336,7 @@ class Parameter:
     @property
     def reads_none(self) -> bool:
         """Whether the text None on the command line or in a study file is None, and no text."""
-        if self.kind == "any":
+        if self.kind == "any" and (not self.choices or "None" in self.choices):
             return self.default is None and not self.required
         return self.optional if self.kind == "str" else self.may_be_axis
 
@@ -375,9 +376,11 @@ class Parameter:
         kind, known = self.kind, self._known()
         if kind == "str" and isinstance(raw, str) and (not self.choices or raw in known):
             return next((named for named in self.defined if named.name == raw), raw)
-        if kind == "str" or (self.choices and (type(raw), raw) not in [(type(choice), choice) for choice in known]):
+        like = [one for one in known if one == raw and (type(one) is bool) == (type(raw) is bool)]
+        if kind == "str" or (self.choices and not like):
             hint = nearest(raw, known) if isinstance(raw, str) and kind == "str" else ""
             raise self._refused(raw, hint)
+        raw = like[0] if like else raw  # 2.0 is the choice 2
         if kind in ("float", "int"):
             return self._number(raw)
         if kind == "any" and isinstance(raw, int | float) and not isinstance(raw, bool):

@@ -232,7 +232,7 @@ def _kind(annotation: Any) -> tuple[Kind | None, tuple[Any, ...]]:
         kinds = {kind for kind, _ in parts}  # without None, of which `Parameter.optional` tells
         if kinds == {"int", "float"}:
             return "float", ()
-        choices = tuple(choice for _, some in parts for choice in some)
+        choices = tuple(choice for _, some in parts for choice in some) if all(some for _, some in parts) else ()
     else:
         kinds = {kind for one, kind in KINDS.items() if annotation is one}
         if isinstance(annotation, type):

@@ -321,9 +321,11 @@ def make_grid(study: Study) -> Grid:
     if sentences:
         raise SweepError(sentences, study.source)
     values = {name: (value,) for name, value in study.experiment.defaults().items()} | values | study.places
-    for one in (condition for clause in study.excluded for condition in clause):
+    clauses = [("exclude", clause) for clause in study.excluded]
+    clauses += [(f"when.{name}", clause) for name, clause in study.when.items() if name in study.axes]
+    for where, one in ((where, condition) for where, clause in clauses for condition in clause):
         if not any(map(one.holds, values[one.name])):
-            grid.warnings.append(f"exclude: no point has such a value of {one.name}, so that it leaves out none")
+            grid.warnings.append(f"{where}: no point has such a value of {one.name}")
     grid.warnings.extend(remarks({} if study.points is None else study.points.origin))
     grid.warnings.extend(_with_points(warnings, "warnings"))
     return grid

@@ -7,7 +7,6 @@ import inspect
 import json
 import math
 import re
-import sys
 import warnings
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -272,8 +271,8 @@ def axis_values(spec: object, whole: bool = False) -> list[Any]:
         spec = spec["values"]
     if isinstance(spec, list):
         return list(spec)
-    keys = set(spec) if isinstance(spec, dict) else set()
-    if not isinstance(spec, dict) or keys - {"spacing"} not in ({"start", "stop", "step"}, {"start", "stop", "num"}):
+    ways = ({"start", "stop", "step"}, {"start", "stop", "num"}, {"start", "stop", "num", "spacing"})
+    if not isinstance(spec, dict) or spec.keys() not in ways:
         alone = " is a single value: fix it, or" if isinstance(spec, str | int | float) else ":"
         raise ValueError(
             f"{shown(spec)}{alone} write a list, {{ start, stop, step }} or {{ start, stop, num, spacing }}"
@@ -287,8 +286,8 @@ def axis_values(spec: object, whole: bool = False) -> list[Any]:
             problem = f"does not lead from start = {shown(start)} to stop = {shown(stop)}"
             raise ValueError(f"step = {shown(spec['step'])}: {problem}")
         # The stop is one of the values although a step that was computed may not divide the distance.
-        noise = 0 if whole else 4 * Fraction(sys.float_info.epsilon) * max(abs(low), abs(low + distance))
-        unsure = 0 if whole else min(abs(step) / 10**9 + noise, abs(step) / 1000)
+        noise = 0 if whole else min(max(abs(low), abs(low + distance)) / 2**50, abs(step) / 1000)
+        unsure = 0 if whole else noise + abs(step) / 10**9
         parts = math.floor((abs(distance) + unsure) / abs(step))
         if parts >= MAX_VALUES:
             raise ValueError(f"start, stop, step make more than {MAX_VALUES} values; no more are allowed")
@@ -580,7 +579,7 @@ def _in_file(form: PointsForm, values: Values) -> tuple[Cells, dict[str, str]]:
     columns, units = columns_of({name: table[name] for name in table.colnames})
     known = {parameter.name: parameter for parameter in values.experiment.parameters}
     ours = {name: known.get(name, known.get(BRACKETS.sub(r"\1", name), Parameter(name))) for name in columns}
-    columns = {name: _read_cells(cells, ours[name].kind) for name, cells in columns.items()}
+    columns = {name: _read_cells(cells, ours[name]) for name, cells in columns.items()}
     doubtful = [
         name
         for name, one in ours.items()
@@ -604,10 +603,14 @@ def _in_file(form: PointsForm, values: Values) -> tuple[Cells, dict[str, str]]:
     return columns, units
 
 
-def _read_cells(cells: list[Any], kind: str) -> list[Any]:
+def _read_cells(cells: list[Any], parameter: Parameter) -> list[Any]:
     """Return a column of a file that is text because of some cells, with the others as what the parameter takes, so
     that only those that are wrong are refused.  A column in which no cell is wrong is text on purpose, and stays so.
     """
+    kind, choices = parameter.kind, parameter.choices
+    if kind == "any" and choices:
+        ways = [(cell, read_cell(cell, "bool"), read_cell(cell, "float")) for cell in cells]
+        return [next((way for way in some if way in choices), some[0]) for some in ways]
     if kind not in ("float", "int", "bool") or not any(isinstance(cell, str) for cell in cells):
         return cells
     # of numbers with decimal commas too: the better of two readings

@@ -1,6 +1,7 @@
 """Tables of points from a study to a store: once each, the bits of a grid, growth, reproduction, labels of rows."""
 
 import json
+from typing import Literal
 
 import numpy as np
 import pandas as pd
@@ -158,12 +159,17 @@ def test_a_name_of_digits_in_a_file_stays_what_is_written(tmp_path):
     def of_any(name, x: float = 1.0):
         return {"name_back": str(name)}
 
+    def of_choice(name: Literal["NA", True, 2]):
+        return {"name_back": repr(name)}
+
     (tmp_path / "t.csv").write_text("name,x,hip,field,mag\n0071,1,7,007,1\n12,2,8,,2.5\n")
     for k, function in enumerate((of_text, of_any)):
         ds = run(function, tmp_path / f"{k}.zarr", str(tmp_path / "t.csv"), ["hip", "field", "mag"])
         assert ds.name.values.tolist() == ds.name_back.values.tolist() == ["0071", "12"]
         assert [ds[name].values.tolist() for name in ("hip", "field", "mag")] == [[7, 8], ["007", ""], [1.0, 2.5]]
-    (tmp_path / "t.csv").write_text("name\nNA\n")
+    (tmp_path / "t.csv").write_text("name\nNA\nTrue\n2\n")
+    ds = run(of_choice, tmp_path / "2.zarr", str(tmp_path / "t.csv"))
+    assert [*ds.name_back.values] == ["'NA'", "True", "2"]
     with pytest.raises(SweepError, match="'NA' in a file stands for a missing value"):
         run(of_text, tmp_path / "0.zarr", str(tmp_path / "t.csv"))
 

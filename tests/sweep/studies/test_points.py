@@ -110,6 +110,7 @@ WRONG = [
 LONG = 86.85482395804122
 ELSEWHERE = "is a quantity in km; give numbers in the unit of the parameter, .to_value('m')"
 DISTANCES = QTable({"distance": Masked([1.0, 2.0] * u.km, mask=[False, True])})
+idle = experiment(when={"k": {"beta": [3.0]}})(lambda beta=1.0, k=1: beta)
 pointed = experiment()(lambda point=1.0, k=1: point * k)
 ALL_WRONG = [
     *((f, {"points": points}, problem) for points, problem in WRONG),
@@ -161,14 +162,12 @@ def test_designs_are_spread_over_their_ranges_and_larger_ones_begin_alike_where_
         assert binomtest(columns["solver"].count("a"), len(beta)).pvalue > 1e-3
 
 
-@pytest.mark.parametrize(("n", "k"), [(64, 2), (100, 2), (64, 3)])
-def test_a_design_of_no_power_of_two_and_an_exclusion_of_nothing_are_warned_of(sweep, tmp_path, n, k):
+@pytest.mark.parametrize(("function", "n", "k"), [("f", 64, 2), ("f", 100, 2), ("f", 64, 3), ("idle", 64, 2)])
+def test_a_design_of_no_power_of_two_and_conditions_of_nothing_are_warned_of(sweep, tmp_path, function, n, k):
     options = ["--design", f"sobol:{n}", "--range", "beta=1:2", "--axis", "k=1,2", "--exclude", f"k={k}"]
-    code, out, err = sweep("plan", f"{__file__}:f", *options, cwd=tmp_path)
-    warned = [
-        words in out + err for words in (f"points.n = {n} is not a power of two", "no point has such a value of k")
-    ]
-    assert (code, warned) == (0, [n == 100, k == 3]), err
+    code, out, err = sweep("plan", f"{__file__}:{function}", *options, cwd=tmp_path)
+    warnings = f"points.n = {n} is not a power of two", "exclude: no point has such", "when.k: no point has such"
+    assert (code, [words in out + err for words in warnings]) == (0, [n == 100, k == 3, function == "idle"]), err
 
 
 @pytest.mark.parametrize("kind", ["row", "name", "columns", "nan", "masked"])
