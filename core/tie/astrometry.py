@@ -45,7 +45,7 @@ class Astrometry:
     ``apparent`` (N,) marks positions of a single epoch, which the parallax displaces; ``frame`` (N,) is 0 for rows in
     the reference's frame and the number of a mission, from 1, for those in a frame of its own; ``shared`` (N,) is the
     part of the errors of a position (rad) that is that of its ``calibrator`` (N,), and which the rows of a source with
-    this calibrator have in common; ``at_rest`` (N,) marks positions of quasars, whose parallax and motion are not
+    this calibrator have in common; ``at_rest`` (5, N) marks the parallax and motion of quasars where they are not
     measured but known.
 
     ``further`` (2, 5, N) are values and errors of the parameters `FURTHER` of stars whose paths are not straight, zero
@@ -63,7 +63,7 @@ class Astrometry:
     frame: Indices = None  # type: ignore[assignment]  # the reference's by default
     calibrator: Texts = None  # type: ignore[assignment]  # none by default
     shared: Array = None  # type: ignore[assignment]  # zero by default
-    at_rest: Flags = None  # type: ignore[assignment]  # none of them by default
+    at_rest: Flags = None  # type: ignore[assignment]  # none by default
     further: Array | None = None
     orbit: Array | None = None
     averaged: Array | None = None
@@ -71,9 +71,9 @@ class Astrometry:
     def __post_init__(self) -> None:
         # broadcast arrays take no memory, however many rows there are
         defaults = {"apparent": np.False_, "frame": np.int64(0), "calibrator": np.str_(""), "shared": np.float64(0.0)}
-        for name, default in (defaults | {"at_rest": np.False_}).items():
+        for name, default in (defaults | {"at_rest": np.zeros((5, 1), dtype=bool)}).items():
             if getattr(self, name) is None:
-                object.__setattr__(self, name, np.broadcast_to(default, len(self)))
+                object.__setattr__(self, name, np.broadcast_to(default, (*default.shape[:-1], len(self))))
 
     def __len__(self) -> int:
         return len(self.epoch)
@@ -82,6 +82,11 @@ class Astrometry:
     def present(self) -> Flags:
         """Which parameters have a value with an error; shape (5, N)."""
         return np.isfinite(self.values) & np.isfinite(self.errors)
+
+    @property
+    def measured(self) -> Flags:
+        """Which of these are not known of quasars at rest; shape (5, N)."""
+        return self.present & ~self.at_rest
 
     def taken(self, part: Indices | slice | Flags) -> "Astrometry":
         """Return some of the objects."""
@@ -151,7 +156,7 @@ def positive_definite(matrices: Array, least: float = 0.0) -> Flags:
     return np.ones(len(matrices), dtype=bool)
 
 
-# Names of the kinds of rows by what is present: 1 for a position, 2 for a parallax and 4 for a motion.
+# Names of the kinds of rows by what is measured: 1 for a position, 2 for a parallax and 4 for a motion.
 KINDS = (
     *("nothing", "position", "parallax", "position and parallax"),
     *("motion", "position and motion", "three-parameter", "five-parameter"),
@@ -159,16 +164,15 @@ KINDS = (
 
 
 def kinds(rows: Astrometry) -> Texts:
-    """Return the kind of each row, which follows from what is present; shape (N,).
+    """Return the kind of each row, which follows from what is measured; shape (N,).
 
-    One coordinate of a position or of a motion is enough.  A position alone, or that of a quasar at rest, is of a
-    "single epoch" where it is marked so.  Raises ValueError for a position of which one coordinate has no value.
+    One coordinate of a position or of a motion is enough.  A position alone is of a "single epoch" where it is marked
+    so.  Raises ValueError for a position of which one coordinate has no value.
     """
-    by_group = np.logical_or.reduceat(rows.present, [0, 2, 3])
+    by_group = np.logical_or.reduceat(rows.measured, [0, 2, 3])
     if len(half := np.flatnonzero(by_group[0] & ~np.isfinite(rows.values[:2]).all(axis=0))):
         raise ValueError(f"only one coordinate of the position has a value in {named_rows(half)}")
     kind: Texts = np.array(KINDS, dtype="U24")[by_group.T @ np.array([1, 2, 4])]
-    kind[rows.at_rest] = "position"
     kind[(kind == "position") & rows.apparent] = "single epoch"
     return kind
 

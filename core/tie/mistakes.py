@@ -134,7 +134,8 @@ def misfit(problem: Problem, kept: Indices, solution: Solution, names: Names) ->
     groups = _groups(problem, solution)
     if ratio > GOOD and chdtrc(solution.expected, solution.squares) < CHANCE:
         worst = max(groups, key=lambda group: group.squares)
-        said = f"chi2 is {ratio:.3g} times its expectation, most of it in {worst.words}"
+        asked = " (are these quasars?)" * bool(np.any(problem.rows.at_rest[list(worst.rows)] & worst.part.at))
+        said = f"chi2 is {ratio:.3g} times its expectation, most of it in {worst.words}{asked}"
         cause = _excess(problem, ratio) if most > len(solution.estimate) else UNEXPLAINED
         return Misfit(ratio, f"{said}; {cause}", ratio > EXCESS or cause != UNEXPLAINED)
     low = [one for one in groups if one.squares < 0.1 * one.expected and chdtr(one.dof, one.squares) < CHANCE]

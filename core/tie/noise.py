@@ -98,10 +98,10 @@ def noises(problem: Problem, jitter: Mapping[str, Mapping[str, Any]], fewest: in
         for kind in np.unique(kind_of_row[(problem.rows.frame == frame) & problem.rows.present.any(axis=0)]):
             size = asked.get(kind, asked.get(ALL, ESTIMATE if everywhere else None))
             at = (kind_of_row == kind) & (problem.rows.frame == frame)
-            chosen += [(f"{of_table}{kind}", at, problem.rows.present.T)] if size == ESTIMATE else []
+            chosen += [(f"{of_table}{kind}", at, problem.rows.measured.T)] if size == ESTIMATE else []
     if everywhere:
         with_rows = np.isin(np.arange(len(problem.satellite)), problem.source)
-        chosen.append((SATELLITE, with_rows, problem.satellite.present.T))
+        chosen.append((SATELLITE, with_rows, problem.satellite.measured.T))
     for kind, at, _ in chosen:
         if (number := np.count_nonzero(at)) < fewest:
             rows, advice = f"rows of the kind {kind}", f"say how large it is, as in --jitter '{kind}=0.1'"

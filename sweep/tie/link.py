@@ -204,10 +204,8 @@ def _rows_there_are(setup: Setup) -> str:
     if len(epochs := np.unique(rows.epoch[np.isfinite(rows.epoch)])):
         counted += f", of {epochs[0]:g} to {epochs[-1]:g}" if len(epochs) > 1 else f", all of {epochs[0]:g}"
     lacking = ["an orientation needs positions in the reference"] * (not np.any(rows.present[:2]))
-    if not np.any(rows.present[3:] & star[3:]):
-        lacking.append(
-            "a spin needs motions with errors in both tables, or in one and positions of other epochs in the other"
-        )
+    spin = "a spin needs motions with errors in both tables, or in one and positions of other epochs in the other"
+    lacking += [spin] * (not np.any(rows.present[3:] & star[3:]))
     unused = [note for note in setup.notes if any(words in note for words in NOT_USED)]
     return f" (rows: {'; '.join([counted, *lacking, *unused])})"
 

@@ -12,19 +12,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from linksweep.core.frames import (
-    ARCSEC,
-    DEGREE,
-    GALACTIC_AXES,
-    MAS,
-    Array,
-    Flags,
-    Indices,
-    LinkError,
-    Names,
-    position,
-    triad,
-)
+from linksweep.core import frames
+from linksweep.core.frames import ARCSEC, DEGREE, MAS, Array, Flags, Indices, LinkError, Names, position, triad
 from linksweep.core.tie import astrometry as core
 from linksweep.core.tie.astrometry import Astrometry, kinds, named_rows
 from linksweep.core.tie.forecast import releases_at
@@ -238,9 +227,9 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
     names = _names(left, tables[SIDES[1]], matches[0])[sources]
     stars = replace(_taken(left.astrometry, sources), names=names)
     rows, source = parts[0] if len(parts) == 1 else core.joined(*parts), np.searchsorted(sources, source)
+    notes += _resting(stars, rows, source)
     stars = satellite_at_rest(stars, rows, source)
     epoch = default_epoch(stars.epoch) if options.epoch is None else options.epoch
-    notes += _resting(stars, rows, source)
     problem = Problem(stars, rows, source, Unknowns(()), epoch, options.weights, tables=tuple(tables)[1:])
     with refused():
         unknowns = unknowns_for(options, problem, notes)
@@ -274,7 +263,7 @@ def _resting(stars: Astrometry, rows: Astrometry, source: Indices) -> list[str]:
     if len(observed) < 5:
         return []
     values, errors = (one[2:, observed][stars.present[2:, observed]] for one in (stars.values, stars.errors))
-    if not np.mean((values / errors) ** 2) < 4.0:
+    if not np.sum((values / errors) ** 2) < 4.0 * len(values):
         return []
     said = "positions of a single epoch are displaced by parallaxes, and these sources have none, nor motions"
     return [f"{said}: if they are quasars, say --extragalactic reference"]
@@ -285,32 +274,30 @@ def quasars_at_rest(stars: Astrometry, rows: Astrometry, source: Indices, aberra
     aberration (uas/yr), in a position that holds at any epoch of each source that has none measured.
     """
     rows = _aberrated(rows, stars.epoch[source], aberration) if aberration else rows
-    quasar = np.isnan(rows.epoch) & rows.present[0]
-    zero = np.zeros((3, len(rows)), dtype=bool)
-    for k, flags in enumerate(zero if np.any(quasar) else (), start=2):
-        measured = np.isin(source, source[rows.present[k]])
+    quasar = np.isnan(rows.epoch) & rows.present[:2].any(axis=0)
+    known = np.zeros((5, len(rows)), dtype=bool)
+    for k in (2, 3, 4) if np.any(quasar) else ():
+        measured = np.isin(source, source[rows.present[k] & (rows.frame == 0)])
         at = np.flatnonzero(quasar & ~measured & (stars.errors[k, source] > 0.0))
-        flags[at[np.unique(source[at], return_index=True)[1]]] = True  # once, as it is exact
-    return _exactly(rows, zero, _glide(rows, aberration))
+        known[k, at[np.unique(source[at], return_index=True)[1]]] = True  # once, as it is exact
+    return _exactly(rows, known, _glide(rows, aberration))
 
 
 def satellite_at_rest(stars: Astrometry, rows: Astrometry, source: Indices) -> Astrometry:
     """Return a satellite's table with the parallax and motion of quasars in positions that hold at any epoch, unless
     rows have them without an error too.
     """
-    exact = np.array([np.isin(np.arange(len(stars)), source[errors == 0.0]) for errors in rows.errors[2:]])
-    return _exactly(stars, np.isnan(stars.epoch) & stars.present[0] & ~stars.present[2:] & ~exact)
+    exact = np.array([np.isin(np.arange(len(stars)), source[errors == 0.0]) for errors in rows.errors])
+    return _exactly(stars, np.isnan(stars.epoch) & ~stars.present & ~exact & (np.arange(5)[:, None] > 1))
 
 
 def _exactly(table: Astrometry, known: Flags, motion: Array | float = 0.0) -> Astrometry:
-    """Return a table at rest: with a parallax of zero and a motion (2, N) without errors where ``known`` (3, N)."""
+    """Return a table at rest: with a parallax of zero and a motion (2, N) without errors where ``known`` (5, N)."""
     if not np.any(known):
         return table
-    values, errors = table.values.copy(), table.errors.copy()
-    np.copyto(values[2:], 0.0, where=known)
-    np.copyto(values[3:], motion, where=known[1:])
-    np.copyto(errors[2:], 0.0, where=known)
-    return replace(table, values=values, errors=errors, at_rest=np.asarray(known.any(axis=0)))
+    values, errors = np.where(known, 0.0, [table.values, table.errors])
+    np.copyto(values[3:], motion, where=known[3:])
+    return replace(table, values=values, errors=errors, at_rest=known)
 
 
 def zero_motion(n: int) -> Astrometry:
@@ -562,6 +549,7 @@ def with_jitter(rows: Astrometry, jitter: Mapping[str, Any]) -> Astrometry:
             raise SweepError(f"jitter of {kind}: {position:g}, {motion:g}: must be finite and not negative")
         at = kind_of_row == kind if kind != ALL else ~np.isin(kind_of_row, list(jitter))  # a named kind has its own
         added[:, at] = MAS * np.array([position, position, position, motion, motion])[:, None]
+    added[2, rows.at_rest[2]] = 0.0  # a noise of positions is none of a parallax that is known
     return core.with_variance(rows, added**2)
 
 
@@ -583,7 +571,7 @@ def _aberrated(rows: Astrometry, to_epoch: Array, aberration: float) -> Astromet
 
 def _glide(rows: Astrometry, aberration: float) -> Array:
     """Return the apparent motions (2, N) of a Galactic aberration (uas/yr), rad/yr."""
-    glide = GALACTIC_AXES[0] * aberration * MAS / 1000.0
+    glide = frames.GALACTIC_AXES[0] * aberration * MAS / 1000.0
     return np.stack([glide @ axis for axis in triad(rows.values[0], rows.values[1])[:2]])
 
 
