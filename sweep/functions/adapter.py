@@ -419,9 +419,9 @@ class FunctionExperiment(Experiment):
         points = [{k: v for k, v in point.items() if v is not None or k in optional} for point in points]
         assert call is not None, "the record of an experiment computes nothing"
         if self.vectorised:  # the caller sends many points only to such functions
-            own = inspect.signature(call).parameters  # of points that are at a default, beside others
+            arguments = inspect.signature(call).parameters  # of points that are at a default, beside others
             names = dict.fromkeys(name for point in points for name in point)
-            columns = {n: np.array([p[n] if n in p else own[n].default for p in points]) for n in names}
+            columns = {n: np.array([p[n] if n in p else arguments[n].default for p in points]) for n in names}
             return results.split_points(call(**columns), len(points), expected, "points")
         if not self.rng:
             return [results.flatten(call(**point), expected) for point in points]

@@ -564,9 +564,8 @@ def labels_of(cells: Sequence[Any]) -> list[Any]:
     """
     cells = [cell.decode() if isinstance(cell, bytes) else None if cell != cell else cell for cell in cells]  # noqa: PLR0124
     kinds = {type(cell) for cell in cells}
-    if float in kinds <= {float, int, type(None)} and all(
-        type(cell) is not int or abs(cell) <= 2**53 for cell in cells
-    ):
+    exact = all(type(cell) is not int or abs(cell) <= 2**53 for cell in cells)
+    if exact and float in kinds <= {float, int, type(None)}:
         return [math.nan if cell is None else float(cell) for cell in cells]
     if kinds == {bool} or (kinds == {int} and all(-(2**63) <= cell < 2**63 for cell in cells)):
         return cells
@@ -580,11 +579,7 @@ def _in_file(form: PointsForm, values: Values) -> tuple[Cells, dict[str, str]]:
     known = {parameter.name: parameter for parameter in values.experiment.parameters}
     ours = {name: known.get(name, known.get(BRACKETS.sub(r"\1", name), Parameter(name))) for name in columns}
     columns = {name: _read_cells(cells, ours[name]) for name, cells in columns.items()}
-    doubtful = [
-        name
-        for name, one in ours.items()
-        if one.kind in ("any", "str") and not all(isinstance(cell, str) for cell in columns[name])
-    ]
+    doubtful = [n for n, one in ours.items() if one.kind in ("any", "str") and {*map(type, columns[n])} != {str}]
     written, _ = columns_of(read_table(path, texts=doubtful)) if doubtful else ({}, {})
     for name in doubtful:  # 0071 is a name, and not the number 71; and "none" is a value where the choices have it
         one, pairs = ours[name], list(zip(columns[name], written[name], strict=True))
@@ -673,8 +668,8 @@ def _derived(reference: str, columns: Cells, settings: Mapping[str, Any], values
     function = code.function(reference, values.folder)
     for number, row in enumerate(zip(*columns.values(), strict=True), start=1):
         try:
-            given = {**settings, **dict(zip(columns, row, strict=True))}
-            result = function({n: one.value if isinstance(one, Named) else one for n, one in given.items()})
+            point = {**settings, **dict(zip(columns, row, strict=True))}
+            result = function({n: one.value if isinstance(one, Named) else one for n, one in point.items()})
         except Exception as error:  # whatever a user's function raises
             raise ValueError(f"row {number}: {reference} raises {type(error).__name__}: {error}") from error
         if not isinstance(result, Mapping) or (derived and result.keys() != derived.keys()) or result.keys() & columns:

@@ -327,10 +327,8 @@ def load_study(
         document = parsed(text, path)
     by_flag = {"--set": settings, "--axis": axes, "--points": [points], "--design": [design]}
     by_flag |= {"--range": ranges, "--exclude": exclude}
-    options = Overrides(
-        [(flag, text) for flag, texts in by_flag.items() for text in texts if text is not None], for_text=True
-    )
-    return _Reader(document, text, path, function or str(path), options, Code()).study()
+    written = [(flag, text) for flag, texts in by_flag.items() for text in texts if text is not None]
+    return _Reader(document, text, path, function or str(path), Overrides(written, for_text=True), Code()).study()
 
 
 def study_from_dict(

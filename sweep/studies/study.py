@@ -207,10 +207,9 @@ def _drawn_at(name: str, raw: Any, context: Context) -> Any:
 
 
 def _zip(group: list[str], context: Context) -> list[str]:
-    known = [name for name, values in context.axes.items() if values is not None]  # others may hold control characters
     for name in group:
         if name not in context.axes:
-            raise ValueError(f"{shown(name)} is not an axis{suggest(name, known)}")
+            raise ValueError(f"{shown(name)} is not an axis{suggest(name, list(context.axes))}")
     lengths = {name: len(values) for name in group if (values := context.axes[name]) is not None}
     if len(group) < 2 or len(set(group)) < len(group) or len(set(lengths.values())) > 1:
         sizes = ", ".join(f"{name} has {n}" for name, n in lengths.items())
