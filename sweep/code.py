@@ -1007,8 +1007,8 @@ def code_of(reference: str, experiment: Experiment, digest: str | None = None) -
     if place.partition(".")[0] != OURS or distributions_of(place) != ():
         code |= parts_of(reference, digest or source_digest(reference))
         code |= {f"default of {p.name}": json.dumps(p.written_default(), default=str) for p in experiment.parameters}
-        objects = [one for one in experiment.parameters if isinstance(one.default, Named)]
-        code |= {f"default of {one.name}, an object": one.default.name for one in objects}
+        objects = {p.name: p.default for p in experiment.parameters if isinstance(p.default, Named)}
+        code |= {f"default of {name}, an object": default.name for name, default in objects.items()}
     packages = [name.removeprefix("package ") for name in code if name.startswith("package ")]
     return code | {f"package {name}": version_of(name) for name in (*packages, *experiment.packages)}  # of this process
 

@@ -191,17 +191,8 @@ def _parameter(argument: inspect.Parameter, names: Mapping[str, Any]) -> Paramet
     if kind == "float" and type(default) is int:  # the digest of a point with 1 would differ from that with 1.0
         default = float(default)
     meaning = noted.meaning or (noted.name if noted.name != name else "") or name.replace("_", " ")
-    choices = choices or noted.choices
-    return replace(
-        noted,
-        name=name,
-        kind=kind,
-        default=default,
-        meaning=meaning,
-        choices=choices,
-        required=required,
-        optional=optional,
-    )
+    noted = replace(noted, name=name, meaning=meaning, choices=choices or noted.choices)
+    return replace(noted, kind=kind, default=default, required=required, optional=optional)
 
 
 def _annotation(argument: inspect.Parameter, names: Mapping[str, Any]) -> Any:
@@ -284,17 +275,10 @@ def _checked(function: Callable[..., Any], declaration: experiment) -> "Function
         problems.append("vectorised: an array over points holds no arrays of different length; leave out ragged")
     if problems:
         raise SweepError(problems, f"function {made.name}")
-    return replace(
-        made,
-        parameters=parameters,
-        declared=tuple(outputs),
-        vectorised=declaration.vectorised,
-        tolerance=tolerance,
-        repeatable=declaration.deterministic and not made.rng,
-        packages=tuple(declaration.packages),
-        citation=tuple(declaration.citation),
-        shared=tuple(declaration.shared),
-    )
+    repeatable, vectorised = declaration.deterministic and not made.rng, declaration.vectorised
+    made = replace(made, parameters=parameters, declared=tuple(outputs), tolerance=tolerance, repeatable=repeatable)
+    packages, citation, shared = map(tuple, (declaration.packages, declaration.citation, declaration.shared))
+    return replace(made, vectorised=vectorised, packages=packages, citation=citation, shared=shared)
 
 
 def _problems_of_outputs(outputs: Sequence[Output], made: "FunctionExperiment") -> Iterator[str]:
@@ -419,9 +403,9 @@ class FunctionExperiment(Experiment):
         points = [{k: v for k, v in point.items() if v is not None or k in optional} for point in points]
         assert call is not None, "the record of an experiment computes nothing"
         if self.vectorised:  # the caller sends many points only to such functions
-            arguments = inspect.signature(call).parameters  # of points that are at a default, beside others
-            names = dict.fromkeys(name for point in points for name in point)
-            columns = {n: np.array([p[n] if n in p else arguments[n].default for p in points]) for n in names}
+            arguments = inspect.signature(call).parameters  # points at a default may be beside others
+            names = set[str]().union(*points)
+            columns = {n: np.array([p.get(n, arguments[n].default) for p in points]) for n in names}
             return results.split_points(call(**columns), len(points), expected, "points")
         if not self.rng:
             return [results.flatten(call(**point), expected) for point in points]

@@ -85,11 +85,19 @@ class Grid:
         places = [first.setdefault(digest, k) if is_there else k for k, ((*_, is_there), digest) in points]
         return np.array(places) if len(first) < len(places) else None
 
-    def without(self, name: str) -> NDArray[np.bool_]:
-        """Return at which places along its dimension all points are without a parameter."""
+    def without(self, name: str) -> NDArray[np.float64]:
+        """Return which part of the points at each place along its dimension is without a parameter."""
         gone = [name in missing for _, missing, _ in self._raw(np.arange(len(self)))]
         others = tuple(k for k, axes in enumerate(self.dimensions.values()) if name not in axes)
-        return np.asarray(np.array(gone).reshape(self.shape).all(axis=others))
+        return np.asarray(np.array(gone).reshape(self.shape).mean(axis=others))
+
+    @property
+    def divided(self) -> list[str]:
+        """The axes that share a dimension with a place along it that has points with their effect and others without:
+        their coordinates could not say so.
+        """
+        shared = [name for name in self.study.partial if name in self.study.axes and name not in self.study.alone]
+        return [name for name in shared if (self.without(name) % 1.0).any()]
 
     def repeated(self, indices: NDArray[np.intp]) -> NDArray[np.intp]:
         """Return the indices of points with those that repeat them."""
@@ -253,20 +261,6 @@ def failures_by_place(
     return {describe(grid.study, p.parameters): records[p.digest]["message"] for p in grid.points(failed)}
 
 
-def depending_across(
-    study: Study, shared: Collection[Collection[str]], groups: Iterable[Collection[str]]
-) -> dict[str, tuple[str, Collection[str]]]:
-    """Return the parameters along dimensions that are ``shared`` whose effect depends on an axis of another of all the
-    ``groups`` of axes, each with one such axis and the axes beside it: no coordinate could say where it is missing.
-    """
-    depends = dict[str, set[str]]()
-    for name, conditions in study.when.items():  # those that others depend on come first
-        depends[name] = {one.name for one in conditions}.union(*(depends.get(one.name, ()) for one in conditions))
-    axes = {name for group in groups for name in group}
-    across = {name: (depends.get(name, set()) & axes - {*group}, group) for group in shared for name in group}
-    return {name: (min(others), group) for name, (others, group) in across.items() if others}
-
-
 def make_grid(study: Study) -> Grid:
     """Return the grid of a study after asking the experiment about every point.
 
@@ -284,15 +278,14 @@ def make_grid(study: Study) -> Grid:
             "with a store each, or take a design of points (--design)"
         )
         raise SweepError(message, study.source)
-    shared = [axes for axes in study.dimensions.values() if axes[0] not in study.alone]
-    across = depending_across(study, shared, study.dimensions.values())
-    if wrong := [
-        f"when.{name}: {name} shares a dimension with {', '.join(one for one in group if one != name) or 'its table'} "
-        f"and has an effect only at some values of {other}: give a table of points that has {other} as a column"
-        for name, (other, group) in across.items()
-        if name in study.partial
-    ]:
-        raise SweepError(wrong, study.source)
+    if divided := grid.divided:
+        words = (
+            "shares a dimension, at some places of which only some points have its effect: give a table of points with"
+        )
+        depends = {name: " and ".join(one.name for one in study.when[name]) for name in divided}
+        raise SweepError(
+            [f"when.{n}: {n} {words} {n} and {others} as columns" for n, others in depends.items()], study.source
+        )
     values = {name: (value,) for name, value in study.fixed.items()} | dict(study.axes)
     required = [one.name for one in study.experiment.parameters if not one.optional and one.default is not None]
     may_lack = [name for name in required if name in study.when and None in values.get(name, ())]

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import Experiment, Named, Point, SweepError, Unknown, Value, shown
+from linksweep.sweep.contract import Experiment, Named, Parameter, Point, SweepError, Unknown, Value, shown
 from linksweep.sweep.formatting import counted
-from linksweep.sweep.planning.grid import MAX_POINTS, NO_EFFECT, Grid, GridPoint, all_but, depending_across
+from linksweep.sweep.planning.grid import MAX_POINTS, NO_EFFECT, Grid, GridPoint, all_but
 from linksweep.sweep.studies.points import MAX_VALUES, Values, labels_of, numbers_like, require_distinct
 from linksweep.sweep.studies.study import POINT, PointTable, Sampling, Study
 from linksweep.sweep.tables.columns import sorted_json
@@ -96,31 +96,33 @@ def united(stored: Study, asked: Study, in_ledger: Collection[bytes] = (), *, is
     kept.pop(POINT, None)  # with rows that repeat others, and those that are not there yet
     rows = _crossed([(theirs, was, kept, idle), (mine, now, {}, mine.idle(mine.indices()))], changed)
     most = max(SMALL, min(MAX_POINTS, SPARSEST * (n := len(places) + len(mine)), n + MOST_LEFT_OUT))
-    table = {*(tables and tables[0].names)}
-    are_lost = any(one.labels and {*one.names} != table for one in tables)
-    columns = [column for names, some in rows.items() if {*names} != table for column in zip(*some, strict=True)]
-    repeat = any(len({*map(sorted_json, column)}) < len(column) for column in columns)  # no values of an axis do
-    if are_lost or repeat or not _is_crossed(theirs, mine, rows, table) or math.prod(map(len, rows.values())) > most:
+    points = tables[0] if tables else None
+    are_lost = any(one.labels and {*one.names} != {*tables[0].names} for one in tables)
+    axes, table = _columns(rows), () if points is None else points.names
+    repeat = any(
+        len({*map(sorted_json, axes[n])}) < len(axes[n]) for n in axes if n not in table
+    )  # no axis's values do
+    is_table = are_lost or repeat or not _is_crossed(theirs, mine) or math.prod(map(len, rows.values())) > most
+    if is_table or Grid(replace(asked, axes=axes, zipped=tuple(rows), points=points)).divided:
         names = tuple(dict.fromkeys([*stored.axes, *asked.axes, *changed]))
         old = [tuple({**was, **p.parameters}[name] for name in names) for p in theirs.points(theirs.repeated(places))]
         new = [tuple(p.parameters[name] for name in names) for p in mine.points(mine.repeated(mine.indices()))]
         rows, excluded, tables = {names: _joined(old, new)}, (), [PointTable(names)]
         if len(rows[names]) > MAX_VALUES:
             raise SweepError(f"the store and the study are together a table of more than {MAX_VALUES:,} points")
-    values = _columns(rows, asked.experiment, is_table=bool(tables))
-    points = None
+    axes = {n: _values(asked.experiment.parameter(n), some, bool(tables)) for n, some in _columns(rows).items()}
     if tables:
-        size = len(values[tables[0].names[0]])
+        size = len(axes[tables[0].names[0]])
         whole = [
             one.points for one in (asked, stored) if one.points in tables and len(one.axes[one.points.names[0]]) == size
         ]
-        labels = _labels({name: values[name] for name in tables[0].names}, stored, asked)
+        labels = _labels({name: axes[name] for name in tables[0].names}, stored, asked)
         points = PointTable(tables[0].names, whole[0].origin if whole else {UNITED: True}, labels)
     result = replace(
         asked,
-        experiment=_experiment(stored, asked, values),
-        axes=values,
-        fixed={name: value for name, value in asked.fixed.items() if name not in values},
+        experiment=_experiment(stored, asked, axes),
+        axes=axes,
+        fixed={name: value for name, value in asked.fixed.items() if name not in axes},
         sampling=_sampling(stored, asked),
         zipped=tuple(names for names in rows if len(names) > 1 and (points is None or {*names} != {*points.names})),
         points=points,
@@ -132,30 +134,31 @@ def united(stored: Study, asked: Study, in_ledger: Collection[bytes] = (), *, is
     if is_same and [*result.dimensions] == [*asked.dimensions]:
         return asked
     overrides = asked.overrides if is_same or EARLIER in asked.overrides else (*asked.overrides, EARLIER)
-    conclusion = asked.conclusion if values.keys() == asked.axes.keys() else None
+    conclusion = asked.conclusion if axes.keys() == asked.axes.keys() else None
     result = replace(result, overrides=overrides, conclusion=conclusion)
     return replace(result, document=_document(stored, asked, result))
 
 
-def _columns(rows: Rows, experiment: Experiment, *, is_table: bool) -> dict[str, tuple[Value, ...]]:
-    """Return the values of each axis, of equal ones those that the experiment has, which can be computed with; raises
-    SweepError for values that cannot be on one axis of it.
+def _columns(rows: Rows) -> dict[str, tuple[Value, ...]]:
+    """Return the values along the dimension of each axis."""
+    return {n: column for names, some in rows.items() for n, column in zip(names, zip(*some, strict=True), strict=True)}
+
+
+def _values(parameter: Parameter, column: Sequence[Value], is_table: bool) -> tuple[Value, ...]:
+    """Return the values of an axis, of equal ones those that its parameter has, which can be computed with; raises
+    SweepError for values that cannot be on one axis.
     """
-    columns: dict[str, tuple[Value, ...]] = {}
-    for names, some in rows.items():
-        for name, column in zip(names, zip(*some, strict=True), strict=True):
-            parameter = experiment.parameter(name)
-            known = {value: value for value in (parameter.default, *parameter.defined)}
-            columns[name] = tuple(known.get(value, value) if isinstance(value, Named) else value for value in column)
-            try:
-                plain = {(type(value), value): value for value in column if not isinstance(value, Named)}
-                if changed := [one for (kind, _), one in plain.items() if type(parameter.parse(one)) is not kind]:
-                    raise ValueError(f"{changed[0]!r} would be {parameter.parse(changed[0])!r}")
-                require_distinct(columns[name], is_table)
-                Values.require_labels(columns[name])
-            except ValueError as error:
-                raise SweepError(f"{name}, with its values in the store: {error}") from error
-    return columns
+    known = {value: value for value in (parameter.default, *parameter.defined)}
+    values = tuple(known.get(value, value) if isinstance(value, Named) else value for value in column)
+    try:
+        plain = {(type(value), value): value for value in column if not isinstance(value, Named)}
+        if changed := [one for (kind, _), one in plain.items() if type(parameter.parse(one)) is not kind]:
+            raise ValueError(f"{changed[0]!r} would be {parameter.parse(changed[0])!r}")
+        require_distinct(values, is_table)
+        Values.require_labels(values)
+    except ValueError as error:
+        raise SweepError(f"{parameter.name}, with its values in the store: {error}") from error
+    return values
 
 
 def _labels(columns: Mapping[str, Sequence[Value]], *studies: Study) -> dict[str, list[Any]]:
@@ -181,18 +184,12 @@ def _keys(columns: Mapping[str, Sequence[Value]], names: Sequence[str]) -> list[
     return [sorted_json(list(row)) for row in zip(*(columns[name] for name in names), strict=True)]
 
 
-def _is_crossed(theirs: Grid, mine: Grid, rows: Rows, table: Collection[str]) -> bool:
-    """Return whether axes that share a dimension in one of two grids do so in both, or are constants in the other, and
-    whether each has an effect or none wherever it is along a shared one of the joined ``rows``.
-    """
-    if depending_across(mine.study, [names for names in rows if len(names) > 1 or {*names} == table], rows):
-        return False
-    groups = [{(frozenset(axes), name == POINT) for name, axes in grid.dimensions.items()} for grid in (theirs, mine)]
-    return all(
-        group in other or group[0].isdisjoint(grid.study.axes)
-        for some, other, grid in ((groups[0], groups[1], mine), (groups[1], groups[0], theirs))
-        for group in some
-    )
+def _is_crossed(theirs: Grid, mine: Grid) -> bool:
+    """Return whether axes that share a dimension in one of two grids do so in both, or are constants in the other."""
+    both = (theirs, mine)
+    one, other = ({(frozenset(axes), name == POINT) for name, axes in grid.dimensions.items()} for grid in both)
+    alone = all(axes.isdisjoint(mine.study.axes) for axes, _ in one - other)
+    return alone and all(axes.isdisjoint(theirs.study.axes) for axes, _ in other - one)
 
 
 def _crossed(

@@ -125,7 +125,7 @@ class Values:
     """
 
     def __init__(self, experiment: Experiment, folder: Path, problems: Problems) -> None:
-        self.experiment, self.folder, self.problems = experiment, folder, problems
+        self.experiment, self.folder, self.problems = with_default_objects(experiment), folder, problems
 
     def one(self, place: KeyPath, name: str, raw: object, which: str = "") -> Value:
         """Return the value at a place, None if it is wrong; problems begin with ``which``."""
@@ -730,15 +730,14 @@ def labelled(value: Any, label: str = "") -> Named:
 
 def with_default_objects(experiment: Experiment) -> Experiment:
     """Return the experiment of a function with the objects among its defaults, where they have labels of their own."""
-    if (call := getattr(experiment, "call", None)) is None:
-        return experiment
-    arguments, parameters = inspect.signature(call).parameters, list(experiment.parameters)
+    arguments = inspect.signature(call).parameters if (call := getattr(experiment, "call", None)) else {}
+    parameters = list(experiment.parameters)
     for place, one in enumerate(parameters):
-        default = arguments[one.name].default
-        if one.takes_objects and one.default is None and not one.required and default is not None:
+        is_none = bool(arguments) and one.takes_objects and one.default is None and not one.required
+        if is_none and (default := arguments[one.name].default) is not None:
             with suppress(ValueError):
                 parameters[place] = replace(one, default=labelled(default))
-    return replace(experiment, parameters=tuple(parameters))
+    return replace(experiment, parameters=tuple(parameters)) if arguments else experiment
 
 
 def plain_values(values: Any, where: str) -> Any:

@@ -23,16 +23,7 @@ from linksweep.sweep.contract import DefinitionError, Experiment, Function, Name
 from linksweep.sweep.formatting import split_assignment
 from linksweep.sweep.functions.adapter import is_plain_function, name_of
 from linksweep.sweep.studies import built_in_studies
-from linksweep.sweep.studies.points import (
-    KeyPath,
-    Problems,
-    Values,
-    plain_study,
-    read_cell,
-    read_points,
-    with_default_objects,
-    with_labels,
-)
+from linksweep.sweep.studies.points import KeyPath, Problems, Values, plain_study, read_cell, read_points, with_labels
 from linksweep.sweep.studies.study import DEFAULT_EXPERIMENT, Condition, Context, Form, Part, Published, Sampling, Study
 from linksweep.sweep.tables.columns import TableFile
 
@@ -97,13 +88,12 @@ def parsed(text: str, path: Path) -> dict[str, Any]:
 
 @dataclass
 class Overrides:
-    """The options of the command line that change a study, pairs of a flag and its text; ``by_place`` says which of
-    them gave the value at a place of the document, ``for_text`` whether that is written as a text too.
+    """The options of the command line that change a study, pairs of a flag and its text, None where no text is written;
+    ``by_place`` says which of them gave the value at a place of the document.
     """
 
-    written: Sequence[tuple[str, str]] = ()
+    written: Sequence[tuple[str, str]] | None = None
     by_place: dict[KeyPath, str] = field(default_factory=dict)
-    for_text: bool = False
 
     def apply(
         self, document: dict[str, Any], parameters: Collection[str], texts: Collection[str], problems: list[str]
@@ -115,12 +105,13 @@ class Overrides:
         """
         points, axes = (table if isinstance(table := document.get(key), dict) else {} for key in ("points", "axes"))
         axes_before, other = set(axes), {"axes": "fixed", "fixed": "axes"}
-        flags = {flag for flag, _ in self.written}
+        written = self.written or ()
+        flags = {flag for flag, _ in written}
         if flags & {"--points", "--design"}:
             kept = () if "--points" in flags else ("seed", "ranges")
             document["points"] = {key: points[key] for key in kept if key in points}
         slots: dict[KeyPath, str] = {}  # of two options that set the same, one would be lost
-        for flag, text in self.written:
+        for flag, text in written:
             option = f"{flag} {text if text.isprintable() and len(text) <= 80 else shown(text)}"
             try:
                 values = _values_of(flag, text, parameters, texts)
@@ -328,7 +319,7 @@ def load_study(
     by_flag = {"--set": settings, "--axis": axes, "--points": [points], "--design": [design]}
     by_flag |= {"--range": ranges, "--exclude": exclude}
     written = [(flag, text) for flag, texts in by_flag.items() for text in texts if text is not None]
-    return _Reader(document, text, path, function or str(path), Overrides(written, for_text=True), Code()).study()
+    return _Reader(document, text, path, function or str(path), Overrides(written), Code()).study()
 
 
 def study_from_dict(
@@ -412,11 +403,12 @@ class _Reader:
         # Definitions before values, which may be defined; points before axes and what is fixed, which may repeat them;
         # and last what is said of all these.
         form, experiment, is_whole = self._form_and_experiment()
-        experiment = with_default_objects(self._defined(experiment, form.define))
+        experiment = self._defined(experiment, form.define)
         when = {one.name: one.when for one in experiment.parameters if one.when} | form.when
         parameters = [replace(one, when=when.get(one.name, {})) for one in experiment.parameters]
         experiment = replace(experiment, parameters=tuple(parameters)) if when else experiment
         values = Values(experiment, self.folder, problems)
+        experiment = values.experiment
         points, table = read_points(form, values, self.code)
         crossed = {name: values.axis(name, spec) for name, spec in form.axes.items()}
         axes, fixed = {**points, **crossed}, dict[str, Value]()
@@ -473,7 +465,7 @@ class _Reader:
             claims=tuple(checked.claim),
             conclusion=checked.conclusion,
             text=self.text,
-            overrides=tuple(f"{flag} {text}" for flag, text in self.options.written),
+            overrides=tuple(f"{flag} {text}" for flag, text in self.options.written or ()),
         )
         return replace(study, document=self._portable(form, study))
 
@@ -527,11 +519,9 @@ class _Reader:
         names = [] if experiment is None or is_sampled else [one.name for one in experiment.parameters]
         texts = [] if experiment is None else [one.name for one in experiment.parameters if one.kind == "str"]
         self.options.apply(self.document, names, texts, self.problems.sentences)
-        if self.options.for_text and experiment is not None:
-            reads_none = {one.name: one.reads_none for one in experiment.parameters}
-            self.document = {
-                k: one if k == "define" else _with_none(one, reads_none) for k, one in self.document.items()
-            }
+        if self.options.written is not None and experiment is not None:
+            known = {one.name for one in experiment.parameters if one.reads_none}
+            self.document |= {k: _with_none(one, known) for k, one in self.document.items() if k != "define"}
         document = {key: section for key, section in self.document.items() if key not in STATEMENTS}
         form = _read_form(document, self.problems)
         for reason in reasons:
@@ -627,14 +617,14 @@ def problems_of_results(study: Study) -> list[str]:
     return problems.sentences
 
 
-def _with_none(raw: Any, reads_none: Mapping[str, bool], name: str = "") -> Any:
-    """Return a part of a written study with None for the text None where the parameter with a ``name`` reads it so."""
+def _with_none(raw: Any, names: Collection[str], here: bool = False) -> Any:
+    """Return a part of a written study with None for the text None at parameters with some ``names``, and ``here``."""
     if isinstance(raw, dict):
-        inner = {key: key if key in reads_none else name * (key in ("values", "equal", "in")) for key in raw}
-        return {key: _with_none(one, reads_none, inner[key]) for key, one in raw.items()}
+        deeper = {*names, *(("values", "equal", "in") if here else ())}
+        return {key: _with_none(one, names, key in deeper) for key, one in raw.items()}
     if isinstance(raw, list):
-        return [_with_none(one, reads_none, name) for one in raw]
-    return None if raw == "None" and reads_none.get(name) else raw
+        return [_with_none(one, names, here) for one in raw]
+    return None if here and raw == "None" else raw
 
 
 def _read_form(

@@ -116,9 +116,7 @@ def _experiment(record: Mapping[str, Any]) -> Experiment:
         return costs[key] if key in costs else nothing()
 
     outputs, samples = (tuple(_made(Output, o) for o in record[key]) for key in ("outputs", "sample_outputs"))
-    more: dict[str, Any] = (
-        {} if costs == {sorted_json([]): 1.0} else {"cost": cost}
-    )  # all points cost the same: that is the default
+    more: dict[str, Any] = {} if costs == {sorted_json([]): 1.0} else {"cost": cost}  # by default all cost the same
     return Experiment(
         **{key: _tuples(record[key]) for key in _SAME},
         parameters=parameters,
@@ -136,9 +134,8 @@ def _made(kind: Any, stored: Mapping[str, Any]) -> Any:
     values = {name: _tuples(value) for name, value in stored.items() if name in known}
     if "defined" in values:
         values["defined"] = tuple(Named(name, identity, Unknown) for name, identity in values["defined"])
-    default, kinds = values.get("default"), ("any", "object")
-    if kind is Parameter and values.get("kind", "any") in kinds and isinstance(default, tuple):
-        values["default"] = Named(default[0], default[1], Unknown)
+    if values.get("kind", "any") in ("any", "object") and isinstance(values.get("default"), tuple):
+        values["default"] = Named(values["default"][0], values["default"][1], Unknown)
     return kind(**({"default": None} if kind is Parameter else {}) | values)
 
 
