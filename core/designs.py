@@ -135,13 +135,8 @@ class FixedDesign(Matrices):
         """Return the variance of chi2 (...), of the noncentral law; NaN where weights are not those of the errors."""
         setup = self.setup
         dof = setup.n_obj * 2 * sum(setup.measured) - len(setup.truth) + len(setup.truth[setup.fixed])
-        known = self.optimal and setup.reference.as_weighed and setup.satellite.as_weighed
+        known = setup.optimal and setup.reference.as_weighed and setup.satellite.as_weighed
         return (2.0 * dof + 4.0 * self.residual_squares) * (1.0 if known else np.nan)
-
-    @property
-    def optimal(self) -> bool:
-        """Whether the weights are those of the errors, so that the gain follows from the design."""
-        return self.setup.scenario.weighting == "inverse-variance"
 
     def residual(self, part: slice) -> Array:
         """Return r of some objects; shape (n, 4)."""
@@ -155,11 +150,9 @@ def fixed_designs(setups: Sequence[Setup], shared: Prefixes) -> tuple[list[Fixed
     The small matrices are computed together: one by one they would take longer than the objects of a small catalogue.
     Raises LinkError where a catalogue does not determine the link.
     """
-    first = setups[0]
-    unknowns, optimal = len(first.truth), first.scenario.weighting == "inverse-variance"
-    columns = [_columns(setup, 1 if optimal else 2, shared) for setup in setups]
+    columns = [_columns(setup, shared) for setup in setups]
     products = np.stack([shared.products(setup.stacked(each)) for setup, each in zip(setups, columns, strict=True)])
-    matrices = _matrices(products, unknowns, first.fixed)
+    matrices = _matrices(products, len(setups[0].truth), setups[0].fixed)
     designs = [FixedDesign(*each) for each in zip(*matrices, setups, columns, strict=True)]
     return designs, Matrices(*matrices)
 
@@ -186,10 +179,10 @@ def _matrices(products: Array, unknowns: int, fixed: slice) -> tuple[Array, ...]
     )
 
 
-def _columns(setup: Setup, copies: int, shared: Prefixes) -> Array:
-    """Return the columns [a, m], or with two ``copies`` [a, sigma^2 a, m]; shape (N, 4, C)."""
+def _columns(setup: Setup, shared: Prefixes) -> Array:
+    """Return the columns [a, m], or for equal weights [a, sigma^2 a, m]; shape (N, 4, C)."""
     catalogue, scenario, truth = setup.catalogue, setup.scenario, setup.truth
-    unknowns, left_out = len(truth), setup.counted == 0.0
+    unknowns, left_out, copies = len(truth), setup.counted == 0.0, 1 if setup.optimal else 2
 
     def compute(ra: Array, dec: Array, pmra: Array, pmdec: Array, differences: Array) -> Array:
         """Return [a, m] without weights, which are the same for all missions."""
@@ -289,7 +282,7 @@ def _squared_changes(design: FixedDesign, part: slice, size: Array) -> Array:
     counted = setup.counted[:, None]
     square_sec = np.cos(catalogue.dec[part]) ** -2.0
     reference, variance = np.square(setup.reference.sigma[part]).T, np.square(setup.sigma[part]).T
-    weight = counted * (variance**-2.0 if design.optimal else np.ones_like(variance))  # squared
+    weight = counted * (variance**-2.0 if setup.optimal else np.ones_like(variance))  # squared
     error = 3.0 * variance * (1.0 + np.square(design.residual(part).T))
     # E|D|^2: p and q turn with ra and dec by at most 1/cos dec, pmdec eta and pmra eta with the motions too
     turn = square_sec * (reference[0] + reference[1])
@@ -310,7 +303,7 @@ def _mean_change(design: FixedDesign, part: slice) -> Array:
     catalogue, setup = design.setup.catalogue, design.setup
     ra, dec = catalogue.ra[part], catalogue.dec[part]
     size = np.tan(dec) * np.square(setup.reference.sigma[part, 0])
-    if design.optimal:
+    if setup.optimal:
         size /= np.square(setup.sigma[part, 0])
     return np.array([np.sum(size * np.sin(ra)), -np.sum(size * np.cos(ra)), 0.0])
 

@@ -384,6 +384,11 @@ class Setup:
         return self.n_obj * (drawn and bool(self.satellite)), self.n_obj * (drawn and bool(self.reference))
 
     @property
+    def optimal(self) -> bool:
+        """Whether the weights are those of the errors, so that the gain follows from the design."""
+        return self.scenario.weighting == "inverse-variance"
+
+    @property
     def counted(self) -> Array:
         """1 for each observable that is measured, 0 for the others; shape (4,)."""
         return np.repeat(self.measured, 2).astype(float)
