@@ -111,15 +111,10 @@ def at_crossings(line: laws.Line, met: NDArray[np.bool_], level: float, within: 
 
     Where both sides are decided, the place is somewhere in between.  A point that is not decided is next to the place:
     as near as its error over the least slope says, to the next points that surely differ from it.  Where the condition
-    does not change beside such points, it is not known whether it does.
+    does not change beside such points, it is not known whether it does: these come after those where it changes.
     """
     x, y, errors = line.x, line.y, line.errors
-    decided = line.decided(level)
-    ends = np.flatnonzero(~decided)
-    for some in np.split(ends, np.flatnonzero(np.diff(ends) > 1) + 1) if ends.size else ():
-        if len(set(met[max(some[0] - 1, 0) : some[-1] + 2].tolist())) == 1:
-            sigmas = np.maximum(abs(y[some] - level) / errors[some], 1e-3)
-            yield math.inf, [], dict(zip(some.tolist(), ((laws.SURE / sigmas) ** 2).tolist(), strict=True))
+    decided, are_known = line.decided(level), True
     for i in np.flatnonzero(met[1:] != met[:-1]).tolist():
         near = list[tuple[float, int]]()
         for end in (end for end in (i, i + 1) if not decided[end]):
@@ -129,7 +124,14 @@ def at_crossings(line: laws.Line, met: NDArray[np.bool_], level: float, within: 
             near.append((2.0 * errors[end] / slope if slope > 0.0 else x[-1] - x[0], end))
         known, end = min(near, default=(float(x[i + 1] - x[i]), i))
         is_enough = known <= within
+        are_known &= is_enough or not near
         yield known, [] if near or is_enough else [i], {end: (known / within) ** 2} if near and not is_enough else {}
+    ends = np.flatnonzero(~decided)
+    for some in np.split(ends, np.flatnonzero(np.diff(ends) > 1) + 1) if ends.size else ():
+        if len(set(met[max(some[0] - 1, 0) : some[-1] + 2].tolist())) == 1:
+            sigmas = np.maximum(abs(y[some] - level) / errors[some], 1e-3)
+            factors = zip(some.tolist(), ((laws.SURE / sigmas) ** 2).tolist(), strict=True)
+            yield math.inf, [], dict(factors) if are_known else {}
 
 
 Pairs = Container[tuple[float, float]]
