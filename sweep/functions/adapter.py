@@ -397,10 +397,10 @@ class FunctionExperiment(Experiment):
         Raises rules.ResultError for an invalid result, and whatever the function raises.
         """
         call, expected = self.call, self.expected
-        # objects in place of labels, and nothing where an argument has a default
+        # nothing where an argument has a default, and objects, of which None may be one, in place of labels
         optional = {one.name for one in self.parameters if one.optional or one.required}
-        points = [{k: v.value if isinstance(v, Named) else v for k, v in point.items()} for point in points]
         points = [{k: v for k, v in point.items() if v is not None or k in optional} for point in points]
+        points = [{k: v.value if isinstance(v, Named) else v for k, v in point.items()} for point in points]
         assert call is not None, "the record of an experiment computes nothing"
         if self.vectorised:  # the caller sends many points only to such functions
             arguments = inspect.signature(call).parameters  # points at a default may be beside others
