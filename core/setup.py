@@ -205,7 +205,7 @@ class Prefixes:
     """Arrays over objects that have been computed for a block; ask for those of the largest catalogue first."""
 
     def __init__(self) -> None:
-        self.setups: list[Setup] = []
+        self.setups: list[Setup] = []  # of which those of smaller catalogues may be the beginning
         self._known: dict[Hashable, list[tuple[tuple[Array, ...], Array]]] = {}
         self._products: dict[Hashable, Array] = {}
         self._objects: dict[Hashable, list[tuple[slice, Objects]]] = {}

@@ -70,8 +70,9 @@ class Astrometry:
 
     def __post_init__(self) -> None:
         # broadcast arrays take no memory, however many rows there are
-        defaults = {"apparent": np.False_, "frame": np.int64(0), "calibrator": np.str_(""), "shared": np.float64(0.0)}
-        for name, default in (defaults | {"at_rest": np.zeros((5, 1), dtype=bool)}).items():
+        defaults: dict[str, Any] = {"apparent": np.False_, "at_rest": np.zeros((5, 1), dtype=bool)}
+        defaults |= {"frame": np.int64(0), "calibrator": np.str_(""), "shared": np.float64(0.0)}
+        for name, default in defaults.items():
             if getattr(self, name) is None:
                 object.__setattr__(self, name, np.broadcast_to(default, (*default.shape[:-1], len(self))))
 

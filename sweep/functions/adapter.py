@@ -191,8 +191,17 @@ def _parameter(argument: inspect.Parameter, names: Mapping[str, Any]) -> Paramet
     if kind == "float" and type(default) is int:  # the digest of a point with 1 would differ from that with 1.0
         default = float(default)
     meaning = noted.meaning or (noted.name if noted.name != name else "") or name.replace("_", " ")
-    noted = replace(noted, name=name, meaning=meaning, choices=choices or noted.choices)
-    return replace(noted, kind=kind, default=default, required=required, optional=optional)
+    choices = choices or noted.choices
+    return replace(
+        noted,
+        name=name,
+        kind=kind,
+        default=default,
+        meaning=meaning,
+        choices=choices,
+        required=required,
+        optional=optional,
+    )
 
 
 def _annotation(argument: inspect.Parameter, names: Mapping[str, Any]) -> Any:
@@ -275,10 +284,17 @@ def _checked(function: Callable[..., Any], declaration: experiment) -> "Function
         problems.append("vectorised: an array over points holds no arrays of different length; leave out ragged")
     if problems:
         raise SweepError(problems, f"function {made.name}")
-    repeatable, vectorised = declaration.deterministic and not made.rng, declaration.vectorised
-    made = replace(made, parameters=parameters, declared=tuple(outputs), tolerance=tolerance, repeatable=repeatable)
-    packages, citation, shared = map(tuple, (declaration.packages, declaration.citation, declaration.shared))
-    return replace(made, vectorised=vectorised, packages=packages, citation=citation, shared=shared)
+    return replace(
+        made,
+        parameters=parameters,
+        declared=tuple(outputs),
+        vectorised=declaration.vectorised,
+        tolerance=tolerance,
+        repeatable=declaration.deterministic and not made.rng,
+        packages=tuple(declaration.packages),
+        citation=tuple(declaration.citation),
+        shared=tuple(declaration.shared),
+    )
 
 
 def _problems_of_outputs(outputs: Sequence[Output], made: "FunctionExperiment") -> Iterator[str]:

@@ -95,14 +95,13 @@ def united(stored: Study, asked: Study, in_ledger: Collection[bytes] = (), *, is
     excluded = tuple(clause for clause in asked.excluded if clause in stored.excluded)
     kept.pop(POINT, None)  # with rows that repeat others, and those that are not there yet
     rows = _crossed([(theirs, was, kept, idle), (mine, now, {}, mine.idle(mine.indices()))], changed)
-    most = max(SMALL, min(MAX_POINTS, SPARSEST * (n := len(places) + len(mine)), n + MOST_LEFT_OUT))
     points = tables[0] if tables else None
     are_lost = any(one.labels and {*one.names} != {*tables[0].names} for one in tables)
     axes, table = _columns(rows), () if points is None else points.names
-    repeat = any(
-        len({*map(sorted_json, axes[n])}) < len(axes[n]) for n in axes if n not in table
-    )  # no axis's values do
-    is_table = are_lost or repeat or not _is_crossed(theirs, mine) or math.prod(map(len, rows.values())) > most
+    # no values of an axis do
+    repeat = any(len({*map(sorted_json, some)}) < len(some) for name, some in axes.items() if name not in table)
+    is_sparse = math.prod(map(len, rows.values())) > _most_places(len(places) + len(mine))
+    is_table = are_lost or repeat or not _is_crossed(theirs, mine) or is_sparse
     if is_table or Grid(replace(asked, axes=axes, zipped=tuple(rows), points=points)).divided:
         names = tuple(dict.fromkeys([*stored.axes, *asked.axes, *changed]))
         old = [tuple({**was, **p.parameters}[name] for name in names) for p in theirs.points(theirs.repeated(places))]
@@ -137,6 +136,11 @@ def united(stored: Study, asked: Study, in_ledger: Collection[bytes] = (), *, is
     conclusion = asked.conclusion if axes.keys() == asked.axes.keys() else None
     result = replace(result, overrides=overrides, conclusion=conclusion)
     return replace(result, document=_document(stored, asked, result))
+
+
+def _most_places(points: int) -> int:
+    """Return how many places a grid may have for so many points; where it had more, they are a table."""
+    return max(SMALL, min(MAX_POINTS, SPARSEST * points, points + MOST_LEFT_OUT))
 
 
 def _columns(rows: Rows) -> dict[str, tuple[Value, ...]]:

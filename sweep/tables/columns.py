@@ -96,7 +96,8 @@ def first_found(wanted: Iterable[str], names: Collection[str]) -> str | None:
     """Return the column of the first wanted name that is found, ignoring case and a unit in brackets behind it if need
     be; None if there is none.
     """
-    columns = (name if name in names else _in_any_case(tuple(names)).get(name.casefold()) for name in wanted)
+    in_any_case = _in_any_case(tuple(names))
+    columns = (name if name in names else in_any_case.get(name.casefold()) for name in wanted)
     return next((name for name in columns if name is not None), None)
 
 
