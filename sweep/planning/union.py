@@ -111,11 +111,9 @@ def united(stored: Study, asked: Study, in_ledger: Collection[bytes] = (), *, is
             raise SweepError(f"the store and the study are together a table of more than {MAX_VALUES:,} points")
     axes = {n: _values(asked.experiment.parameter(n), some, bool(tables)) for n, some in _columns(rows).items()}
     if tables:
-        size = len(axes[tables[0].names[0]])
-        whole = [
-            one.points for one in (asked, stored) if one.points in tables and len(one.axes[one.points.names[0]]) == size
-        ]
-        labels = _labels({name: axes[name] for name in tables[0].names}, stored, asked)
+        columns = {name: axes[name] for name in tables[0].names}
+        whole = [one.points for one in (asked, stored) if one.points in tables and columns.items() <= one.axes.items()]
+        labels = _labels(columns, stored, asked)
         points = PointTable(tables[0].names, whole[0].origin if whole else {UNITED: True}, labels)
     result = replace(
         asked,
