@@ -20,11 +20,11 @@ from linksweep.sweep.table_writer import Table
 if TYPE_CHECKING:
     import xarray as xr
 
-# results of a study; what is derived from them; measurements of `sweep scaling`; links and forecasts of tables
-ResultKind = Literal["grid", "law", "crossings", "sensitivity", "scaling", "tie", "forecast"]
+# results of a study; what is derived from them; measurements of `sweep scaling`; links, forecasts and matches of tables
+ResultKind = Literal["grid", "law", "crossings", "sensitivity", "scaling", "tie", "forecast", "match"]
 
 # Stores of these kinds are one dataset, without a study and its ledger, which has the name of its kind as ``result``.
-STORED_TABLES: tuple[ResultKind, ...] = ("tie", "forecast", "law", "crossings", "sensitivity", "scaling")
+STORED_TABLES: tuple[ResultKind, ...] = ("tie", "forecast", "match", "law", "crossings", "sensitivity", "scaling")
 
 # Variables and attributes that only datasets of one kind have.  The first counts: outputs of a study may have any name.
 MARKS: dict[str, ResultKind] = {
@@ -106,7 +106,8 @@ class Result:
         write_at_once(path, lambda new: named.to_zarr(new, mode="w", zarr_format=3))
 
     def _made(self, what: str) -> Any:
-        module = "tie.result" if self.kind in ("tie", "forecast") else "analysis.tables"
+        modules = {"tie": "tie.result", "forecast": "tie.result", "match": "search.search"}
+        module = modules.get(self.kind, "analysis.tables")
         return getattr(import_module(f"linksweep.sweep.{module}"), what)(self.dataset)
 
 

@@ -27,7 +27,7 @@ ENDLESS = 10**6  # columns of a terminal that has room for everything
 @dataclass(frozen=True)
 class Column:
     """The ``values`` of a column, one for each row, and the ``cells`` that stand for them in tables for reading; by
-    default the values as they are.
+    default the values as they are; ``meaning`` is its description in ECSV.
 
     A table that is too wide leaves out the columns of the largest ``rank`` first, by the ``quantity`` that they belong
     to, and never those of rank 0.  A column that may ``wrap`` takes several lines where there is no room, and is then
@@ -42,6 +42,7 @@ class Column:
     rank: int = 0
     left: bool = False
     wrap: int = 0
+    meaning: str = ""
 
     @property
     def shown(self) -> Sequence[str]:
@@ -143,8 +144,8 @@ class Table:
             masked = missing.any() and (cells.ndim == 1 or isinstance(known, int))  # arrays of floats can hold NaN
             if masked:
                 cells[missing] = known  # a NaN would make floats of integers
-            mask = missing if masked else False
-            table[column.name] = astropy_table.MaskedColumn(cells.tolist(), mask=mask, unit=column.unit or None)
+            about: dict[str, Any] = {"unit": column.unit or None, "description": column.meaning or None}
+            table[column.name] = astropy_table.MaskedColumn(cells.tolist(), mask=missing if masked else False, **about)
         out = io.StringIO()
         table.write(out, format="ascii.ecsv")
         return out.getvalue()

@@ -270,12 +270,12 @@ def load_trusted(study: str, trust: bool, **overrides: Any) -> "linksweep.Study"
 
 
 def link_in(store: "Location", at: At) -> Any:
-    """Return the link or forecast that a store holds, None if it holds a grid; ``--at`` is only for a grid."""
+    """Return the link, forecast or other table that a store holds, None for a grid; ``--at`` is only for a grid."""
     from linksweep.sweep.result import stored_table
 
     result = stored_table(store)
     if result is not None and at:
-        raise click.UsageError("--at chooses a part of a grid; this is one link or forecast")
+        raise click.UsageError(f"--at chooses a part of a grid; this is a {result.kind}")
     return None if result is None else result.dataset
 
 

@@ -872,7 +872,7 @@ def match(
     galaxies: tuple[Path, ...] = arg(nargs=-1, required=True, type=FILE),
     supplement: Path | None = opt("More stars, whose matches are a class of their own.", type=FILE),
     search: dict[str, Any] = _declared("match", SearchOptions),
-    output: Path = cli.output("The matches as ECSV.", default=Path("results/matches.ecsv")),
+    output: Path = cli.output("The matches: .ecsv, or a store .zarr.", default=Path("results/matches.ecsv")),
     table: Path | None = opt("Also the paper's 46-byte table.", type=FILE),
     figure: Path | None = opt("Also draw an all-sky map: .png, .svg or .pdf.", type=FILE),
     overwrite: bool = flag("Replace files that exist."),
@@ -888,13 +888,9 @@ def match(
         --radius pgc=15 --radius uzc=3 --error pgc=5 --error uzc=1 \\
         -o galaxies.ecsv --table galaxies.dat --figure galaxies.png
     """
-    from linksweep.sweep.search import search as galaxy_search
+    from linksweep.sweep.search.search import find_galaxies, plan_search
 
-    plan = galaxy_search.plan_search(stars, galaxies, supplement, **search)
-    summary = galaxy_search.summarise(galaxy_search.find_galaxies(plan, output, table, figure, overwrite))
-    if as_json:
-        cli.put(to_json(summary))
-    else:
-        cli.print_tables(galaxy_search.summary_tables(summary), ["", *galaxy_search.summary_lines(summary)])
+    matches = find_galaxies(plan_search(stars, galaxies, supplement, **search), output, table, figure, overwrite)
+    cli.print_result(matches, "json" if as_json else "text")
     for path in filter(None, (output, table, figure)):
         cli.wrote(path)

@@ -53,6 +53,7 @@ KINDS: Mapping[str, Mapping[str, Kind]] = {
         "spectrum": Kind("link:spectrum_figure", "Vector spherical harmonics by degree, noise and significance"),
         "bins": Kind("link:bin_figure", "The spin in each bin"),
     },
+    "match": {"galaxies": Kind("link:galaxy_figure", "The galaxies among the stars")},
     "forecast": {
         "epochs": Kind("link:epoch_figure", "Formal errors against the epoch of new positions"),
         "ranking": Kind("link:ranking_figure", "The sources whose observation helps most"),

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from scipy.special import chdtrc, ndtri
 
 from linksweep.core import missions
-from linksweep.core.frames import DEGREE, GALACTIC_AXES, Array, position
+from linksweep.core.frames import DEGREE, GALACTIC_AXES, Array, galactic, position
 from linksweep.core.setup import scenario
 from linksweep.core.tie.problem import LARGE_SHARE
 from linksweep.sweep import formatting
@@ -34,6 +34,7 @@ from linksweep.sweep.tables.columns import table_file
 MAGNITUDE = {"units": "mag", "long_name": "magnitude V", "symbol": "$V$"}
 SKY_WIDTH = 45.0  # letters that a map of the sky is wide at least
 RANKED = 20  # sources in a ranking
+CLASS_MARKERS = {"certain": "o", "uncertain": "^", "supplement": "s"}  # of matches with galaxies
 MANY_ROWS = "they are not kept for tables with so many rows"
 
 MARK: dict[str, Any] = {"color": "0.4", "linestyle": "dotted", "linewidth": 1.0, "label": f"{100.0 * LARGE_SHARE:g} %"}
@@ -102,6 +103,32 @@ def sky_figure(dataset: xr.Dataset) -> Figure:
     axes.plot(x, broken, color="black", linewidth=0.9, zorder=2, label="Galactic plane")
     axes.plot(x[:1], plane_dec[:1], "k+", label="Galactic centre", markersize=9.0, zorder=4)
     style.complete(figure, str(dataset.attrs.get("title", "")))
+    return figure
+
+
+def galaxy_figure(dataset: xr.Dataset) -> Figure:
+    """Return a Mollweide map of matches in Galactic coordinates, by class, over a share of the galaxy catalogues."""
+    figure, (axes,) = style.new_figure(7.6, 4.2, subplot_kw={"projection": "mollweide"})
+    prepare_sky(axes, GALACTIC)
+
+    def places(*names: str) -> tuple[Array, Array]:
+        longitude, latitude = galactic(*(dataset[name].values * DEGREE for name in names))
+        return on_map(longitude / DEGREE, GALACTIC), latitude
+
+    drawn, entries = dataset.sizes["entry"], int(dataset.attrs["entries"])
+    points: dict[str, Any] = {"linestyle": "none", "marker": ".", "markeredgewidth": 0.0, "color": "#b0b0b0"}
+    axes.plot(*places("entry_ra", "entry_dec"), **points, markersize=1.2, rasterized=True, zorder=1)
+    # a point of the map is too small to be seen in the legend
+    share = f", 1 in {round(entries / drawn)} drawn" if drawn < entries else ""
+    axes.plot([], [], **points, markersize=4.0, label=f"galaxy catalogues ({entries:,}{share})")
+    axes.plot([-np.pi, np.pi], [0.0, 0.0], color="black", linewidth=1.0, zorder=2, label="Galactic plane, $b = 0$")
+    x, y = places("ra", "dec")
+    for (name, marker), colour in zip(CLASS_MARKERS.items(), style.COLOURS, strict=False):
+        mine, look = dataset["class"].values == name, {"markerfacecolor": colour, "markeredgewidth": 0.5, "zorder": 4}
+        look |= {"linestyle": "none", "marker": marker, "markersize": 5.0, "markeredgecolor": "white"}
+        # an object at the edge of the map is shown whole; the layout takes a class without any for one at the corner
+        look |= {"clip_on": False, "in_layout": False}
+        axes.plot(x[mine], y[mine], **look, label=f"{name} ({np.count_nonzero(mine):,})")
     return figure
 
 

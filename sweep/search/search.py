@@ -1,5 +1,5 @@
 """A search for galaxies in a star catalogue: what to search, from the options of the command line, the matches on the
-sphere with how sure each one is, and what it gives: matches as a table, ECSV and 46 bytes a row, a map, the summary.
+sphere with how sure each one is, and what it gives: the matches as a dataset, its tables and sentences, 46 bytes a row.
 
 All positions are for one epoch (`at_epoch`).  Every star-galaxy pair within a catalogue's radius is found with k-d
 trees of unit vectors, entries that are one galaxy are merged, the rest is resolved one to one, closest pair first, and
@@ -9,6 +9,7 @@ Source: Metz & Geffert 2004, Sect. 3; the rules of the classes replace the paper
 """
 
 import io
+import json
 import os
 import re
 from collections.abc import Mapping, Sequence
@@ -20,11 +21,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
+import xarray as xr
 from scipy.spatial import KDTree
 
-from linksweep.core.frames import ARCSEC, DEGREE, MAS, Array, Flags, Indices, galactic, position, triad
+from linksweep.core.frames import ARCSEC, DEGREE, MAS, Array, Flags, Indices, position, triad
 from linksweep.sweep.contract import Parameter, SweepError
 from linksweep.sweep.formatting import with_error
+from linksweep.sweep.result import Result
 from linksweep.sweep.search.options import SearchOptions
 from linksweep.sweep.stores.location import Folder
 from linksweep.sweep.table_writer import Column, Table
@@ -515,6 +518,9 @@ def _read_tyc(read: Columns) -> dict[str, Any]:
 
 MAP_SUFFIXES = (".png", ".svg", ".pdf")
 
+MOST_ENTRIES = 30_000
+"""More entries of galaxy catalogues would fill the map: of a larger number a random share is drawn."""
+
 STAR_MOTIONS = {name: f"star_{name}" for name in MOTIONS}
 """Columns for the stars' measured proper motions, so named that a study does not take them for the galaxies' (zero)."""
 
@@ -546,45 +552,43 @@ LARGEST = {"TYC1": ("1-4", 9999), "TYC2": ("6-10", 99999), "TYC3": ("12-12", 9),
 
 PROBLEMS_NAMED = 10
 
-STYLES = {"certain": ("o", "#0072B2"), "uncertain": ("^", "#D55E00"), "supplement": ("s", "#009E73")}
-"""Marker and colour of each class, from the colour-blind safe palette of Okabe & Ito (2008)."""
-
-BACKGROUND = "#b0b0b0"
-MAX_BACKGROUND = 30_000
-"""More background points would fill the map: of a larger number a random share is drawn, and the legend gives it."""
-
 
 def find_galaxies(
-    search: Search, ecsv: Path, table: Path | None = None, figure: Path | None = None, overwrite: bool = False
-) -> SearchResult:
-    """Read the tables, match them and write the matches as ECSV, and where asked for in 46 bytes a row and as a map,
-    each in one step.
+    search: Search, output: Path, table: Path | None = None, figure: Path | None = None, overwrite: bool = False
+) -> xr.Dataset:
+    """Read the tables, match them, and write the matches as ECSV or as a store, and where asked for in 46 bytes a row
+    and as a map, each in one step; return them.
 
     Raises SweepError for all that is wrong with tables, options and names of files; then nothing is written.
     """
-    _check(search, ecsv, table, figure, overwrite)  # better before a long search than after it
-    result, text, drawn = find_matches(search), io.StringIO(), io.BytesIO()
-    matches_table(result).write(text, format="ascii.ecsv")
-    contents, columns = {ecsv: text.getvalue().encode()}, match_columns(result)
+    _check(search, output, table, figure, overwrite)  # better before a long search than after it
+    result, contents, drawn = find_matches(search), dict[Path, bytes](), io.BytesIO()
+    matches = matches_dataset(result)
+    if output.suffix.lower() == ".ecsv":
+        contents[output] = records(matches).ecsv().encode()
     if table is not None:
         if without := [path for name, path in search.stars.items() if TYC[0] not in result.stars[name]]:
             needed = "the 46-byte table needs columns TYC1, TYC2 and TYC3, or TYC with strings like '1-13-1'"
             raise SweepError([f"{path}: {needed}" for path in without])
-        contents[table] = galaxy_table(columns).encode("ascii")
+        contents[table] = galaxy_table(match_columns(result)).encode("ascii")
     if figure is not None:
-        background = pd.concat([one[["ra", "dec"]] for one in result.galaxies.values()])
-        sky_map(columns, background).savefig(drawn, format=figure.suffix[1:].lower(), dpi=200)
+        from linksweep.sweep.plots import figure as drawing, style
+
+        with style.settings():
+            drawing.draw_figure(matches).savefig(drawn, format=figure.suffix[1:].lower(), dpi=200)
         contents[figure] = drawn.getvalue()
     for path, content in contents.items():
         write(path, content, overwrite)
-    return result
+    if output not in contents:
+        Result(matches).save(output)
+    return matches
 
 
-def _check(search: Search, ecsv: Path, table: Path | None, figure: Path | None, overwrite: bool) -> None:
+def _check(search: Search, matches: Path, table: Path | None, figure: Path | None, overwrite: bool) -> None:
     """Raise SweepError if an output cannot or must not be written."""
     problems: list[str] = []
     inputs = {path.resolve() for path in (search.stars | search.galaxies).values()}
-    paths = [path for path in (ecsv, table, figure) if path is not None]
+    paths = [path for path in (matches, table, figure) if path is not None]
     wanted = [path.resolve() for path in paths]
     for path in paths:
         parent = next(p for p in path.absolute().parents if p.exists())
@@ -598,7 +602,7 @@ def _check(search: Search, ecsv: Path, table: Path | None, figure: Path | None, 
             problems.append(f"{path} exists; --overwrite replaces it")
         elif not parent.is_dir() or not os.access(parent, os.W_OK | os.X_OK):
             problems.append(f"{path} cannot be written: {parent} is not a directory that can be written")
-    for output, suffixes in ((ecsv, (".ecsv",)), (figure, MAP_SUFFIXES)):
+    for output, suffixes in ((matches, (".ecsv", ".zarr")), (figure, MAP_SUFFIXES)):
         if output is not None and output.suffix.lower() not in suffixes:
             problems.append(f"{output} must end in {' or '.join(suffixes)}")
     if figure is not None and find_spec("matplotlib") is None:
@@ -617,6 +621,27 @@ def write(path: Path, content: bytes, overwrite: bool) -> None:
             raise SweepError("exists; --overwrite replaces it", str(path))
     except OSError as error:
         raise SweepError(f"cannot be written: {error.strerror or error}", str(path)) from error
+
+
+def matches_dataset(result: SearchResult) -> xr.Dataset:
+    """Return the matches: the columns of `match_columns` along ``match`` with units and meanings, ``entry_ra`` and
+    ``entry_dec`` of a share of the galaxy catalogues along ``entry``, and the summary.
+
+    Numbers that a table does not have are NaN, texts empty, and integers what the attribute ``missing`` says.
+    """
+    columns, variables = match_columns(result), dict[str, Any]()
+    for name, column in columns.items():
+        unit, meaning = MATCH_COLUMNS.get(name, (unit_of(name.removeprefix("star_")) or None, None))
+        about = {"units": unit, "description": meaning, "missing": MISSING.get(name)}
+        values = column.to_numpy() if column.dtype.kind in "if" else column.to_numpy(dtype=str)
+        variables[name] = "match", values, {key: value for key, value in about.items() if value is not None}
+    entries = pd.concat([one[["ra", "dec"]] for one in result.galaxies.values()])
+    # rows of a catalogue are often sorted by position, so a random choice instead of every so many-th row
+    few = entries.sample(len(entries) // max(1, -(-len(entries) // MOST_ENTRIES)), random_state=0)
+    variables |= {f"entry_{name}": ("entry", few[name].to_numpy(), {"units": "deg"}) for name in few}
+    about = {"result": "match", "title": f"Galaxies in {next(iter(result.stars))}", "columns": list(columns)}
+    summary = json.dumps({"linksweep": version("linksweep"), **summarise(result)})
+    return xr.Dataset(variables, attrs=about | {"entries": len(entries), "summary": summary})
 
 
 def match_columns(result: SearchResult) -> pd.DataFrame:
@@ -648,22 +673,6 @@ def _together(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
     each = {name: table.assign(**{k: MISSING[k] for k in known - set(table)}) for name, table in tables.items()}
     together = pd.concat(each, names=["table", "row"]).reset_index()
     return together.assign(row=together["row"] + 1)
-
-
-def matches_table(result: SearchResult) -> Any:
-    """Return the matches as an astropy Table with units and descriptions; missing values are masked, ``meta`` is the
-    summary.
-    """
-    from astropy.table import MaskedColumn, Table as AstropyTable
-
-    table = AstropyTable(meta={"linksweep": version("linksweep"), **summarise(result)})
-    for name, column in match_columns(result).items():
-        missing = column.isna() | (column == MISSING.get(name, np.nan))
-        values = column.to_numpy() if column.dtype.kind in "if" else column.to_numpy(dtype=str)
-        unit, meaning = MATCH_COLUMNS.get(name, (unit_of(name.removeprefix("star_")) or None, None))
-        mask = missing.to_numpy() if missing.any() else False
-        table[name] = MaskedColumn(values, mask=mask, unit=unit, description=meaning)
-    return table
 
 
 def galaxy_table(columns: pd.DataFrame) -> str:
@@ -759,8 +768,32 @@ def _means(columns: pd.DataFrame, magnitude: str | None, search: Search) -> dict
     }
 
 
-def summary_tables(summary: Mapping[str, Any]) -> list[Table]:
-    """Return the tables of a summary for reading: the classes of matches, and the catalogues of galaxies."""
+def _summary(matches: xr.Dataset) -> dict[str, Any]:
+    summary: dict[str, Any] = json.loads(matches.attrs["summary"])
+    return summary
+
+
+def headline(matches: xr.Dataset) -> list[str]:
+    """Return in a sentence how many stars are galaxies."""
+    summary = _summary(matches)
+    numbers = [f"{summary['classes'][name]['n']:,} {name}" for name in CLASSES]
+    stars = sum(summary["stars"].values())
+    return [f"{matches.sizes['match']:,} of {stars:,} stars are at a galaxy: {', '.join(numbers)}."]
+
+
+def records(matches: xr.Dataset) -> Table:
+    """Return a row for each match, beside the summary."""
+    columns = []
+    for name in matches.attrs["columns"]:
+        cells, about = matches[name].values.tolist(), matches[name].attrs
+        values = [None if cell == about.get("missing", "") else cell for cell in cells]
+        columns.append(Column(name, values, unit=about.get("units", ""), meaning=about.get("description", "")))
+    return Table(columns, about=_summary(matches), meta=_summary(matches))
+
+
+def tables(matches: xr.Dataset) -> list[Table]:
+    """Return the tables for reading: the classes of matches, with what was searched, and the galaxy catalogues."""
+    summary = _summary(matches)
 
     def column(name: str, cells: Sequence[str], unit: str = "", left: bool = False) -> Column:
         return Column(name, cells, cells, unit, left=left)
@@ -791,54 +824,16 @@ def summary_tables(summary: Mapping[str, Any]) -> list[Table]:
         column("chance pairs\nuniform sky", [f"{row['chance_pairs_uniform']:.3g}" for row in rows]),
         column("chance pairs\nfrom surroundings", local),
     ]
-    return [Table(classes), Table(catalogues)]
-
-
-def summary_lines(summary: Mapping[str, Any]) -> list[str]:
-    """Return the sentences below the tables of a summary."""
     stars = " + ".join(f"{n:,} in {name}" for name, n in summary["stars"].items())
     reasons = ", ".join(f"{name} {n}" for name, n in summary["reasons"].items())
-    return [
-        f"in doubt (a match may be for several reasons): {reasons}",
+    about = [
         f"stars: {stars}; galaxies after merging: {summary['galaxies']:,}; epoch {summary['epoch']:g}",
         f"second epoch: {summary['epoch_difference_yr']:g} yr later, error {summary['second_epoch_error_mas']:g} mas",
-        *summary["notes"],
+        f"in doubt (a match may be for several reasons): {reasons}",
     ]
+    return [Table(classes, "\n".join(about)), Table(catalogues, "catalogues of galaxies:")]
 
 
-def sky_map(matches: pd.DataFrame, background: pd.DataFrame) -> Any:
-    """Return a Mollweide map in Galactic coordinates, longitude growing to the left, the Galactic centre in the middle.
-
-    ``matches`` have columns ra, dec (deg) and class, ``background`` ra and dec of all entries of the galaxy catalogues.
-    The figure belongs to no window; save it with its ``savefig``.
-    """
-    from matplotlib.figure import Figure
-
-    from linksweep.sweep.plots.link import GALACTIC, on_map, prepare_sky
-
-    def places(table: pd.DataFrame) -> tuple[Array, Array]:
-        longitude, latitude = galactic(table["ra"].to_numpy() * DEGREE, table["dec"].to_numpy() * DEGREE)
-        return on_map(longitude / DEGREE, GALACTIC), latitude
-
-    figure = Figure(figsize=(8.0, 4.9))
-    axes: Any = figure.add_subplot(projection="mollweide")
-    prepare_sky(axes, GALACTIC)
-    axes.set_position((0.1, 0.14, 0.88, 0.86))  # left, bottom, width, height
-    step = -(-len(background) // MAX_BACKGROUND)
-    if step:
-        # rows of a catalogue are often sorted by position, so a random choice instead of every step-th row
-        few = background.sample(len(background) // step, random_state=0)
-        points = {"linestyle": "none", "marker": ".", "markeredgewidth": 0.0, "color": BACKGROUND}
-        axes.plot(*places(few), **points, markersize=1.2, rasterized=True, zorder=1)
-        # a point of the map is too small to be seen in the legend
-        share = f", 1 in {step} drawn" if step > 1 else ""
-        axes.plot([], [], **points, markersize=4.0, label=f"galaxy catalogues ({len(background):,}{share})")
-    axes.plot([-np.pi, np.pi], [0.0, 0.0], color="black", linewidth=1.0, zorder=2, label="Galactic plane, $b = 0$")
-    for name, (marker, colour) in STYLES.items():
-        mine = matches[matches["class"] == name]
-        style = {"linestyle": "none", "marker": marker, "markersize": 5.0, "markerfacecolor": colour}
-        style |= {"markeredgecolor": "white", "markeredgewidth": 0.5, "zorder": 4}
-        # an object at the edge of the map is shown whole
-        axes.plot(*places(mine), **style, clip_on=False, label=f"{name} ({len(mine):,})")
-    figure.legend(loc="lower center", ncols=3, fontsize=8, frameon=False, markerscale=1.3)
-    return figure
+def notes(matches: xr.Dataset) -> list[str]:
+    """Return the sentences below the tables."""
+    return [f"note: {note}" for note in _summary(matches)["notes"]]

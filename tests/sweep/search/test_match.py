@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 import pandas as pd
 import pytest
+import xarray as xr
 from astropy.io import ascii as text_tables
 from astropy.table import MaskedColumn, Table
 from click.testing import CliRunner
@@ -14,7 +15,8 @@ from click.testing import CliRunner
 import linksweep
 from linksweep import SweepError
 from linksweep.sweep.cli import main
-from linksweep.sweep.search.search import LETTERS, galaxy_table, sky_map
+from linksweep.sweep.plots.figure import draw_figure
+from linksweep.sweep.search.search import LETTERS, galaxy_table
 from tests.documents import commands
 
 ARCSEC = 1.0 / 3600.0
@@ -162,13 +164,37 @@ def test_gaia_identifiers_are_carried(folder):
     assert "phot_g_mean_mag" in found.colnames
 
 
+def test_matches_in_a_store_are_looked_at_as_other_results(folder, sweep):
+    for output in ("m.zarr", "m.ecsv"):
+        code, shown, _ = sweep("match", *WITH_SUPPLEMENT, "-o", output)
+        assert code == 0
+    assert sweep("show", "m.zarr")[1] == shown
+    rows, table = json.loads(sweep("show", "m.zarr", "--json")[1])["rows"], read_matches("m.ecsv")
+    assert [list(row) for row in rows] == 4 * [table.colnames]
+    assert [list(row.values()) for row in rows] == [
+        [None if cell is np.ma.masked else cell for cell in r] for r in table
+    ]
+    assert sweep("show", "m.zarr", "--format", "ecsv")[1] == (folder / "m.ecsv").read_text()
+    assert sweep("report", "m.zarr")[0] == sweep("plot", "m.zarr")[0] == 0
+    assert (
+        "4 of 5 stars are at a galaxy: 2 certain, 1 uncertain, 1 supplement." in (folder / "m-report.html").read_text()
+    )
+    for more in (
+        ["plot", "m.zarr", "--kind", "lines"],
+        ["show", "m.zarr", "--at", "x=1"],
+        ["match", *ARGUMENTS, "-o", "m.zarr"],
+    ):
+        assert sweep(*more)[0] == 2
+
+
 def test_the_map_shows_every_class_with_longitude_to_the_left():
     classes = ["certain", "certain", "uncertain", "supplement"]
-    background = pd.DataFrame({"ra": np.linspace(0.0, 300.0, 5), "dec": 0.0})
-    figure = sky_map(pd.DataFrame({"ra": 200.0, "dec": 0.0, "class": classes}), background)
+    sky = {"ra": ("match", np.full(4, 200.0)), "dec": ("match", np.zeros(4)), "class": ("match", classes)}
+    sky |= {"entry_ra": ("entry", np.linspace(0.0, 300.0, 5)), "entry_dec": ("entry", np.zeros(5))}
+    figure = draw_figure(xr.Dataset(sky, attrs={"result": "match", "title": "sky", "entries": 10}))
     axes = figure.axes[0]
     lines = {line.get_label(): line for line in axes.lines}
-    shown = ["certain (2)", "uncertain (1)", "supplement (1)", "galaxy catalogues (5)"]
+    shown = ["certain (2)", "uncertain (1)", "supplement (1)", "galaxy catalogues (10, 1 in 2 drawn)"]
     styles = [(lines[k].get_marker(), lines[k].get_markerfacecolor()) for k in shown]
     assert all(len(set(each)) == 3 for each in zip(*styles[:3], strict=True))  # each class has a marker and a colour
     x = lines["supplement (1)"].get_xdata()  # ra 200 dec 0: l = 314 deg, right of the centre
