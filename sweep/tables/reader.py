@@ -57,11 +57,11 @@ _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eEdD][+-]?\d+)?")
 _RULE = re.compile(r"(?=.*[-=]{2})[-=+\s]+")
 # A number, an angle, a limit such as <0.5, or a mark, but no name or word.
 _VALUE = re.compile(r"(\W|\d|_|(?<=[\d.])[eEdDhms]|inf)+")
-_CLOCK = re.compile(r'"?[hd]:m:s"?')  # VizieR's unit of text like 12 34 56.7
+_CLOCK = re.compile(r'"?([hd])\1?([: ]?)mm?\2ss?"?')  # of text like 12 34 56.7: "h:m:s" at VizieR, or hh:mm:ss
 # Name and description of a column in VizieR's TSV.
 _MEANINGS = re.compile(r"^#Column\t(\S+)\t\S+\t([^\t\n]*)", re.MULTILINE)
 # How tables spell units out; dates are numbers of days.
-_WORDS = {"degrees": "deg", "hours": "h", "radians": "rad", "MJD": "d", "years": "yr", "hms": "h:m:s", "dms": "d:m:s"}
+_WORDS = {"degrees": "deg", "hours": "h", "radians": "rad", "MJD": "d", "years": "yr"}
 # A name between blanks that may have a unit behind it, or stand in quotes.
 _SPACED = re.compile(r'"[^"]+"|\S+(?:\s+[\[(][^\])]*[\])])?')
 # A name and the unit behind it.
@@ -238,8 +238,8 @@ def _delimited(text: str, texts: Collection[str]) -> Any:
                 raise SweepError(f"two columns are called {name!r}")
             table.remove_column(column)
     for name, unit in zip(names, units, strict=True):
-        if unit:
-            table[name].unit = _unit(unit)
+        bracketed = BRACKETS.fullmatch(name)
+        table[name].unit = _unit(unit or (bracketed[2] if bracketed else ""))
     for name, meaning in _MEANINGS.findall(text):
         if name in table.colnames:
             table[name].description = meaning
@@ -355,7 +355,7 @@ def _layout(content: bytes) -> tuple[list[str], list[str], str, int]:
         units, rows = _units_and_rules(lines[at + 1 :], delimiter, len(names))
         first = at + 1 + rows
         names = [name or f"column {k}" for k, name in enumerate(names, start=1)]
-    return names, units or [_bracketed(name) for name in names], delimiter, len("".join(lines[:first]).encode())
+    return names, units or [""] * len(names), delimiter, len("".join(lines[:first]).encode())
 
 
 def _units_and_rules(lines: Sequence[str], delimiter: str, n_columns: int) -> tuple[list[str] | None, int]:
@@ -389,12 +389,6 @@ def _are_units(fields: Sequence[str], lines: Sequence[str], delimiter: str) -> b
     return any(re.search(r"\d", cell) for cell in cells) and all(map(_VALUE.fullmatch, cells))
 
 
-def _bracketed(name: str) -> str:
-    """Return the unit in a name like 'ra [deg]', '' if there is none."""
-    match = BRACKETS.fullmatch(name)
-    return match[2] if match and _unit(match[2], "raise") is not None else ""
-
-
 def _unit(text: str, strict: str = "silent") -> Any:
     """Return a text as an astropy unit: an unrecognised one, or None with "raise", where astropy does not know it."""
     from astropy.units import Unit
@@ -403,8 +397,8 @@ def _unit(text: str, strict: str = "silent") -> Any:
     text = _WORDS.get(text, text)
     if text in ("", "-", "--", "---"):
         return None
-    if _CLOCK.fullmatch(text):
-        return Unit(text.strip('"'), parse_strict="silent")
+    if clock := _CLOCK.fullmatch(text):
+        return Unit(f"{clock[1]}:m:s", parse_strict="silent")
     if strict == "raise" and not text[0].isalpha():
         return None
     for form in ("cds", "generic", "vounit"):
