@@ -613,7 +613,7 @@ def submit(
     """
     from linksweep.sweep.planning.grid import make_grid
     from linksweep.sweep.running.merge import require_free
-    from linksweep.sweep.stores.location import Folder
+    from linksweep.sweep.stores.location import Folder, file_named
 
     study, store = asked.load()
     make_grid(study)  # its mistakes are named here, not in a hundred logs
@@ -621,7 +621,7 @@ def submit(
     overrides = [written.replace(" ", "=", 1) for written in study.overrides]
     trust = ["--trust"] if asked.trust else []
     sweep = shlex.join([sys.executable, "-P", "-m", "linksweep"])
-    folder = (store.path.parent if isinstance(store, Folder) else Path.cwd()) / f"{store.name}.slurm"
+    folder = (store.path.parent if isinstance(store, Folder) else Path.cwd()) / file_named(f"{store.name}.slurm")
     script = SCRIPT.format(
         name=typed(study.name),
         total=tasks,

@@ -38,7 +38,7 @@ from linksweep.sweep.plots import KINDS, figure as drawing, style
 from linksweep.sweep.result import Result, open_result, write_at_once
 from linksweep.sweep.running.progress import reasons_of
 from linksweep.sweep.running.status import SHARE, Tile, Watched, pause
-from linksweep.sweep.stores.location import Where, located
+from linksweep.sweep.stores.location import Where, file_named, located
 from linksweep.sweep.stores.store import is_new
 from linksweep.sweep.studies.record import CITATION, FUNCTION
 from linksweep.sweep.studies.study import POINT, POINT_TABLE
@@ -337,7 +337,7 @@ def default_path(stores: Sequence[Where]) -> Path:
     """Return the default path of a report: named after its store, in the working directory."""
     names = [located(store).name for store in stores]
     stem = names[0].removesuffix(".zarr") if len(names) == 1 else "linksweep"
-    return Path(f"{stem}-report.html")
+    return Path(file_named(f"{stem}-report.html"))
 
 
 def check_output(path: Path) -> None:

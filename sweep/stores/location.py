@@ -68,7 +68,7 @@ class Folder:
     @property
     def name(self) -> str:
         """The folder's own name, whatever links lead to it: two names of one store have one lock."""
-        return os.path.basename(os.path.realpath(self.path))
+        return _key(os.path.basename(os.path.realpath(self.path)))
 
     @property
     def parent(self) -> "Folder":
@@ -178,7 +178,7 @@ class Folder:
             relative = Path(folder).relative_to(self.path)
             for name in (*folders, *names):
                 _refuse_special(os.path.join(folder, name), (relative / name).as_posix())
-            keys += [(relative / name).as_posix() for name in names if not name.endswith(UNFINISHED)]
+            keys += [_key((relative / name).as_posix()) for name in names if not name.endswith(UNFINISHED)]
         return sorted(keys)
 
     def require_plain(self) -> None:
@@ -187,7 +187,7 @@ class Folder:
 
     def beside(self) -> list[str]:
         """Return the names of what is in the folder around it."""
-        return sorted(os.listdir(self.parent.path)) if self.parent.path.is_dir() else []
+        return sorted(map(_key, os.listdir(self.parent.path))) if self.parent.path.is_dir() else []
 
     def is_free(self) -> bool:
         """Return whether nothing is there, or a folder with nothing but files that a killed process did not finish."""
@@ -223,11 +223,12 @@ class Folder:
     def _at(self, key: str) -> Path:
         """Return where a file is or will be; raises OSError where that, or a folder on the way to it, is special."""
         # Every folder on the way, since a link anywhere leads outside; `resolve` would follow it.
-        names = key.rstrip("/").split("/")
+        file = file_named(key)
+        names = file.rstrip("/").split("/")
         for number in range(1, len(names) + 1):
             name = "/".join(names[:number])
             _refuse_special(os.path.join(self.path, name), name)
-        return self.path / key
+        return self.path / file
 
     def _write(self, key: str, content: bytes, *, durable: bool) -> Path:
         path = self._at(key)
@@ -250,6 +251,15 @@ def _finished(path: Path, content: bytes, *, durable: bool) -> Iterator[Path]:
         yield temporary
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def file_named(key: str) -> str:
+    """Return what this process calls a file: its name is UTF-8 on the disk, whatever the encoding of the locale."""
+    return os.fsdecode(key.encode("utf-8", "surrogateescape"))
+
+
+def _key(file: str) -> str:
+    return os.fsencode(file).decode("utf-8", "surrogateescape")
 
 
 def _refuse_special(path: str, name: str) -> None:

@@ -19,7 +19,7 @@ from tests.sweep import opening
 from tests.sweep.opening import Folder, Holder, holder, located, locked, short_name, store_named
 from tests.tiers import slow
 
-MODEL = "def model(x: float = 1.0, k: int = 1):\n    return {'y': x * k, 'name': f'{x:g}'}\n"
+MODEL = "def model(x: float = 1.0, k: int = 1):\n    return {'y': x * k, 'σ': f'{x:g}'}\n"
 COMMANDS = (  # without the store, which stands behind the first word
     *("show", "status", "status --json", "check", "check --repair", "report", "plot -o p.png", "compare"),
     *("run --retry", "reproduce --at k=1", "find --where y>0 --over k", "fit --over k"),
@@ -118,10 +118,11 @@ def store(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("command", [*COMMANDS, f"report -o {PAGE}", f"merge {ODD} -o {MERGED}"], ids=ascii)
-def test_a_name_that_is_no_utf_8_ends_no_command_in_a_traceback(store, tmp_path, command):
+def test_a_name_that_the_encoding_does_not_have_ends_no_command_in_a_traceback(store, tmp_path, command):
     linksweep.run(f"{tmp_path}/model.py:model", tmp_path / ODD, axes={"k": [1, 2]}, pool="serial")
     words = [sys.executable, "-m", "linksweep", *line(command, ODD)]
-    done = subprocess.run(words, cwd=tmp_path, capture_output=True, check=False)
+    ascii_only = os.environ | {"LC_ALL": "C", "PYTHONUTF8": "0"}
+    done = subprocess.run(words, cwd=tmp_path, capture_output=True, check=False, env=ascii_only)
     assert done.returncode == 0 or command == "compare", done.stderr
     assert b"Traceback" not in done.stderr, done.stderr
 
