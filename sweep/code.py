@@ -83,7 +83,7 @@ PLAIN_CLASS = {*dir(type), *dir(SupportsAbs), "__weakref__", "__firstlineno__", 
 # Instructions that look up a global name.
 LOOKS_UP = ("LOAD_GLOBAL", "LOAD_NAME", "LOAD_FROM_DICT_OR_GLOBALS")
 # What such objects, and wrappers of libraries, have besides caches.
-WRAPPED = ("__func__", "fget", "fset", "fdel", "func", "pyfunc", "otypes", "signature", "__wrapped__")
+WRAPPED = ("__func__", "fget", "fset", "fdel", "func", "pyfunc", "otypes", "signature", "__wrapped__", "_self_wrapper")
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda
 Names = Mapping[str, Any]
@@ -200,8 +200,9 @@ class Reach:
         self.modules: dict[str, ModuleType] = {}
         # The modules that act while a module is imported, or import others, in turn; also itself.
         self._steps: dict[str, list[str]] = {}
-        # Closures of one function, or functions that a decorator has made, have one label.
         self._texts: dict[str, set[str]] = defaultdict(set)
+        # Numbers of functions that have one name, by their ids.
+        self._alike: dict[str, dict[int, int]] = defaultdict(dict)
         # Whose form is made, and whether any of it is left out.
         self._value, self._is_partial = "", False
         # The user's name through which what is followed is reached.
@@ -241,7 +242,7 @@ class Reach:
 
         Without names, what the value begins with is in the code of what has it.
         """
-        self._through = label if names else self._through
+        self._through = label if names and " of " not in label else self._through
         if (code := self._code(value)) is None:
             self._follow(self._noted, value, label, names)
         return code or ""
@@ -250,7 +251,8 @@ class Reach:
         """Add a value; what is left out of it counts by the statements that name it in its module."""
         name, around = label.partition(" of ")[0].rpartition(".")[2], names or {}
         index = _index(tree_of(around.get("__file__") or "", around))
-        statements = index[name] if " of " not in label else ()  # nothing there binds what is in a closure
+        # nothing there binds what is in a closure, but what makes the function that has it
+        statements = index[name if " of " not in label else self._through.rpartition(".")[2]]
         if statements:
             self.places[f"value {label}"] = f"{around['__file__']}, line {statements[0].lineno}"
             text = without_package("".join(map(unparsed, statements)))
@@ -274,11 +276,17 @@ class Reach:
             if self._is_users(module) or not hasattr(sys.modules.get(module), value.__qualname__.partition(".")[0]):
                 self._follow(self._class, value)
             return f"class {label_of(value)}"
-        if isinstance(value, FunctionType):
+        if type(value) is FunctionType:  # not a proxy of one
             self._called.add(value.__name__)
             self._follow(self._function, value)
-            return f"function {label_of(value)}"
+            return f"function {self._label(value)}"
         return None
+
+    def _label(self, function: FunctionType) -> str:
+        """Return the name of a function, with a number where others have the same, such as closures."""
+        known = self._alike[label := label_of(function)]
+        number = known.setdefault(id(function), len(known))
+        return f"{label} {number + 1}" if number else label
 
     def _form(self, value: Any, known: dict[int, tuple[Any, str]]) -> str:
         """Return the canonical form of a value, the same in all processes, and follow the code in it.
@@ -318,7 +326,8 @@ class Reach:
             strides = () if value.flags.c_contiguous else value.strides  # sums and views depend on them
             return value.dtype.str, value.shape, strides, digest_of(value.tobytes())
         # A wrapper of a library, whose other attributes may be caches.
-        wraps = distributions_of(kind.__module__) is not None and callable(value) and hasattr(value, "__wrapped__")
+        is_other = kind is not value.__class__ or distributions_of(kind.__module__) is not None
+        wraps = is_other and callable(value) and hasattr(value, "__wrapped__")
         if isinstance(value, DESCRIPTORS) or (wraps and kind not in (MethodType, partial)):
             return [getattr(value, name, None) for name in WRAPPED]
         if isinstance(value, UNSTEADY) or value is os.environ or (kind is np.ufunc and "vectorized" in value.__name__):
@@ -347,8 +356,8 @@ class Reach:
         if (distributions := distributions_of(module)) is not None:
             for name in distributions:
                 self._keep(f"package {name}", version_of(name))
-        elif module in sys.modules:
-            self._follow(self._acts, sys.modules[module])
+        elif isinstance(there := sys.modules.get(module or ""), ModuleType):  # a module may put another object there
+            self._follow(self._acts, there)
         return distributions is None
 
     def _acts(self, module: ModuleType) -> None:
@@ -386,7 +395,7 @@ class Reach:
 
     def _function(self, function: FunctionType) -> None:
         """Add a function, and what it changes while it runs."""
-        names, label, code = function.__globals__, label_of(function), function.__code__
+        names, label, code = function.__globals__, self._label(function), function.__code__
         if not self._is_users(names.get("__name__")):
             # A wrapper that a library made may hold a function of the user's, or a number; other things that it holds,
             # such as the cache of a single dispatch, change when it is called.
@@ -394,7 +403,9 @@ class Reach:
             forms = [form for one in around if (form := self._form(one, {})) and type(one) in PLAIN]
             self._keep(f"function {label}", ", ".join(forms))
             return
-        values, nodes = function.__defaults__ or (), list[Any](definitions_of(function))
+        # what attrs makes has numbers in its source that differ from process to process; fields are in the class
+        nodes = [] if "<attrs generated" in code.co_filename else list[Any](definitions_of(function))
+        values = function.__defaults__ or ()
         by_name = dict(zip(code.co_varnames[code.co_argcount - len(values) :], values, strict=False))
         by_name |= {name: value for name, value in vars(function).items() if not name.startswith("__")}
         text = "".join(self._refer(f"{label}.{k}", v) for k, v in (by_name | (function.__kwdefaults__ or {})).items())
@@ -436,13 +447,23 @@ class Reach:
         """
         if function is None and self._is_running:  # runs while it is imported, before any root is called
             return ""
-        self._called |= {one.attr for node in nodes for one in ast.walk(node) if isinstance(one, ast.Attribute)}
+        before = {one for node in nodes for one in _nodes_at_import(node)} if function else set()
+        self._called |= {
+            one.attr for node in nodes for one in ast.walk(node) if isinstance(one, ast.Attribute) and one not in before
+        }
         bound = self._imported(nodes, names)
         texts = [*map(unparsed, nodes)]
         code = function.__code__ if function else compile("\n".join(texts), "", "exec", ast.PyCF_ALLOW_TOP_LEVEL_AWAIT)
         scope, wanted, text = ChainMap(bound, dict(names)), {*bound, *_names_in(code)}, "".join(texts)
+        # what code changes of a default is left out of it, so what names in its expression stand for counts
+        defaults = chain.from_iterable(
+            one.defaults + one.kw_defaults for one in before if isinstance(one, ast.arguments)
+        )
+        wanted |= {one.id for default in defaults if default for one in ast.walk(default) if isinstance(one, ast.Name)}
+        mangled = {name[name.index("__", 1) :]: name for name in wanted if re.match("_[^_].*__", name)}
         for whole in sorted({one for node in nodes for one in _chains(node)}):
             name, *path = whole.split(".")
+            name = mangled.get(name, name)
             if function and whole in BY_NAME and names.get("__name__") in sys.modules:
                 self._follow(self._whole, sys.modules[names["__name__"]])
             if name not in scope or name not in wanted:
@@ -532,7 +553,7 @@ def without_docstrings(tree: ast.Module) -> ast.Module:
 
 
 def definitions_of(function: FunctionType) -> Sequence[Function]:
-    """Return the definition of a function; that of all lambdas in its line, none where there is no source.
+    """Return the definition of a function; of a lambda perhaps all in its line, none where there is no source.
 
     Raises SweepError where its file has changed since it was imported: what it computes is no longer what is there.
     """
@@ -546,7 +567,13 @@ def definitions_of(function: FunctionType) -> Sequence[Function]:
                 why = "has changed since it was imported: import it again, or start a new session"
                 raise SweepError(why, code.co_filename)
             line = line if line in lines else lines[0]  # a notebook that reloads compiles a function by itself
-    return _index(tree_of(code.co_filename, names))[line, code.co_name]
+    nodes = _index(tree_of(code.co_filename, names))[line, code.co_name]
+    places = {*code.co_positions()} if len(nodes) > 1 else set()
+    return [one for one in nodes if _place(one.body) in places] or nodes
+
+
+def _place(node: Any) -> tuple[Any, ...]:
+    return tuple(getattr(node, name, None) for name in ("lineno", "end_lineno", "col_offset", "end_col_offset"))
 
 
 @lru_cache(maxsize=64)
@@ -675,6 +702,9 @@ def _is_registered(node: Any, names: Names) -> bool:
     is_kept = isinstance(value, FunctionType | type) and value.__name__ == node.name
     if not is_kept or any(mark not in unparsed(node) for mark in vars(value).keys() - PLAIN_CLASS):
         return False
+    bases = value.__mro__[1:] if isinstance(value, type) else ()
+    if any("__init_subclass__" in vars(base) and distributions_of(base.__module__) is None for base in bases):
+        return True
     for whole in {whole for one in node.decorator_list for whole in _chains(getattr(one, "func", one))}:
         root = names.get(name := whole.partition(".")[0])
         home = vars(root) if isinstance(root, ModuleType) else home_of(name, names, root)[1]

@@ -49,6 +49,8 @@ LINKS = {  # what a module has to define so that NAME(x) calls INNER(x), which I
     "deco hides": "import functools\n\ndef NAME_deco(g):\n    def inner(x):\n        return INNER(x)\n    return inner\n\n@NAME_deco\ndef NAME(x):\n    return 0.0",
     "star args": "def NAME_apply(*functions):\n    def inner(x):\n        for one in functions:\n            x = one(x)\n        return x\n    return inner\n\nNAME = NAME_apply(lambda x: x, lambda x: INNER(x))",
     "only imported": "import numpy\n\ndef NAME(x):\n    return x + numpy.NAME_here",
+    "given to an object": "class A_NAME:\n    def __init__(self):\n        self.table, self.calls = {}, 0\n    def add(self, name):\n        def keep(g):\n            self.table[name] = g\n            return g\n        return keep\n    def run(self, name, x):\n        self.calls += 1\n        return self.table[name](x)\n\nA_NAME_all = A_NAME()\n\n@A_NAME_all.add('one')\ndef NAME_one(x):\n    return INNER(x)\n\ndef NAME(x):\n    return A_NAME_all.run('one', x)",
+    "proxy": "class P_NAME:\n    def __init__(self, g):\n        self.__wrapped__ = g\n    __class__ = property(lambda self: type(self.__wrapped__))\n    def __getattr__(self, name):\n        return getattr(self.__wrapped__, name)\n    def __call__(self, x):\n        return self.__wrapped__(x)\n\n@P_NAME\ndef NAME_one(x):\n    return INNER(x)\n\ndef NAME(x):\n    return NAME_one(x)",
     "delegated": "class C_NAME:\n    def __init__(self, g):\n        self.g = g\n    def __getattr__(self, name):\n        return self.g\n\nNAME_o = C_NAME(lambda x: INNER(x))\n\ndef NAME(x):\n    return NAME_o.anything(x)",
 }
 ENDS = {  # how the constant, CONSTANT, comes into NAME(x)
@@ -122,6 +124,13 @@ ENDS = {  # how the constant, CONSTANT, comes into NAME(x)
     "cyclic list": "L_NAME = [CONSTANT]\nL_NAME.append(L_NAME)\n\ndef NAME(x):\n    return x + L_NAME[1][1][0]",
     "float subclass": "class F_NAME(float):\n    def __radd__(self, x):\n        return x + float(self) * 2.0\n\nNAME_f = F_NAME(CONSTANT)\n\ndef NAME(x):\n    return x + NAME_f",
     "ndarray subclass": "import numpy as np\n\nclass A_NAME(np.ndarray):\n    pass\n\nNAME_a = np.zeros(2).view(A_NAME)\nNAME_a.k = CONSTANT\n\ndef NAME(x):\n    return x + NAME_a.k",
+    "lambda of a line": "L_NAME = [lambda x: x, lambda x: -x, lambda x: 1.0, lambda x: x + 1.0, lambda x: x + 2.0][int(CONSTANT)]\n\ndef NAME(x):\n    return L_NAME(x) + 1.0",
+    "two closures": "def NAME_make(k):\n    return lambda x: x + k\n\nNAME_a, NAME_b = NAME_make(CONSTANT), NAME_make(7.0 - CONSTANT)\n\ndef NAME(x):\n    return NAME_a(x) + 3.0 * NAME_b(x)",
+    "private": "_C_NAME__K = CONSTANT\n\nclass C_NAME:\n    def run(self, x):\n        return x + __K\n\ndef NAME(x):\n    return C_NAME().run(x)",
+    "default that changes": "K_NAME = CONSTANT\n\ndef NAME(x, known={'k': K_NAME}):\n    known['calls'] = 1\n    return x + known['k']",
+    "attribute that changes": "K_NAME = CONSTANT\n\nclass C_NAME:\n    def __init__(self, k=K_NAME):\n        self.k = k\n    def run(self, x):\n        self.k = self.k + 0.0\n        return x + self.k\n\nNAME_o = C_NAME()\n\ndef NAME(x):\n    return NAME_o.run(x)",
+    "closure that changes": "def NAME_make(k):\n    s = {'k': k}\n    def inner(x):\n        s['calls'] = 1\n        return x + s['k']\n    return inner\n\nNAME_one = NAME_make(CONSTANT)\n\ndef NAME(x):\n    return NAME_one(x)",
+    "hook of a class": "class B_NAME:\n    S = {}\n    def __init_subclass__(cls, k=0.0):\n        B_NAME.S['k'] = k\n\nclass C_NAME(B_NAME, k=CONSTANT):\n    pass\n\ndef NAME(x):\n    B_NAME.S.setdefault('calls', 0)\n    return x + B_NAME.S['k']",
     "beside a lock": "import threading\n\nL_NAME = threading.Lock()\n\ndef NAME(x):\n    with L_NAME:\n        return x + CONSTANT",
     "beside random numbers": "import numpy as np\n\nR_NAME = np.random.default_rng()\n\ndef NAME(x):\n    R_NAME.normal()\n    return x + CONSTANT",
 }
