@@ -172,7 +172,7 @@ def refinements(study: Study, store: Where, goal: Goal, run: Callable[[Study], x
         rounds = [*rounds, state.upcoming]
         make_grid(refined(study, rounds))  # what is wrong with a new point is said before it is recorded
         with locked(store):
-            open_store(OpenStore(store), now).record({REFINED: json.dumps([asdict(one) for one in rounds])})
+            open_store(OpenStore(store), now, writes=True).record({REFINED: json.dumps([*map(asdict, rounds)])})
 
 
 def looked_at(asked: Study, now: Study, rounds: Sequence[Round], goal: Goal, dataset: xr.Dataset) -> Refinement:

@@ -88,7 +88,7 @@ def merge(places: Sequence[Where], into: Where, *, accept_code: bool = False, tr
     plan = Plan(Grid(study))
     with locked(place):
         existing = run.find_store(place, study) or create_store(place, run.attributes_of(plan) | origin)
-        store = run.open_store(existing, study)
+        store = run.open_store(existing, study, writes=True)
         store.keep_copy()
         store.clear_failures([*store.failures])
         failed = _failures(sources)

@@ -244,11 +244,11 @@ def find_store(where: Where, study: Study, keep: bool = False) -> OpenStore | No
     return opened
 
 
-def open_store(opened: OpenStore, study: Study) -> Store:
-    """Return the open store of a study; raises SweepError where files of its ledger are damaged, or where it has rows
-    of another version of the experiment.
+def open_store(opened: OpenStore, study: Study, writes: bool = False) -> Store:
+    """Return the open store of a study, to which only who holds its lock ``writes``; raises SweepError where files of
+    its ledger are damaged, or where it has rows of another version of the experiment.
     """
-    store = Store(opened)
+    store = Store(opened, writes)
     hold(store, study)
     return store
 
@@ -628,8 +628,8 @@ class _RefusedError(SweepError):
 class Session:
     """A study, its grid, its store and its pending work.
 
-    `open` reads them and writes nothing, `compute` lets an executor do what is pending and keeps it as it comes, and
-    `publish` writes the labelled dataset.  Whoever computes holds the lock of the store.
+    `open` reads them, `compute` lets an executor do what is pending and keeps it as it comes, and `publish` writes the
+    labelled dataset.  Whoever computes holds the lock of the store; without ``writes`` nothing can be written to it.
     """
 
     def __init__(
@@ -661,6 +661,7 @@ class Session:
         grid: Grid,
         where: Where,
         *,
+        writes: bool = False,
         accept_code: bool = False,
         retry: bool = False,
         fresh: bool = False,
@@ -679,7 +680,7 @@ class Session:
             raise SweepError("no store is there whose failed points could be computed again", str(where))
         if opened is not None:
             study = whole = as_recorded(study, opened.attributes) if study.experiment.undeclared else study
-            store = open_store(opened, study)
+            store = open_store(opened, study, writes)
             if not beside.only:
                 check_points(opened, study)
             study, whole, wanted = with_stored(store, study, beside.only)
@@ -798,7 +799,7 @@ class Session:
         study, store = self.study, self.store
         if store is None:
             made = create_store(self._where, attributes_of(self.accumulator.plan))
-            store = self.store = open_store(made, study)
+            store = self.store = open_store(made, study, writes=True)
             store.keep_copy()
         store.verify()
         record_code(store, study, progress.say)
@@ -917,13 +918,15 @@ def run_study(
         try:
             stack.enter_context(locked(store, break_lock=break_lock))
         except SweepError:  # a store that cannot be locked can still be read
-            if retry or fresh or beside != ALL:
-                raise
-            session = Session.open(grid, store, accept_code=accept_code)
-            if not session.is_left_alone:
+            session = None
+            with suppress(SweepError):
+                if not (retry or fresh or beside != ALL):
+                    session = Session.open(grid, store, accept_code=accept_code)
+            if session is None or not session.is_left_alone:
                 raise
         else:
-            session = Session.open(grid, store, accept_code=accept_code, retry=retry, fresh=fresh, beside=beside)
+            how: dict[str, Any] = {"retry": retry, "fresh": fresh, "beside": beside}
+            session = Session.open(grid, store, writes=True, accept_code=accept_code, **how)
         if session.is_left_alone:
             progress.say(f"{store} has all that this study asks for; it is left as it is, and these are its points")
             return session.part()

@@ -16,7 +16,7 @@ import math
 import re
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate
@@ -237,12 +237,13 @@ class Ledger:
     written, and DamagedError.
     """
 
-    def __init__(self, location: Location, of_root: Manifest) -> None:
+    def __init__(self, location: Location, of_root: Manifest, writes: bool = False) -> None:
         """Read all but the samples; ``damaged`` has what is wrong with which file.
 
-        ``of_root`` is the manifest that the root document knows.
+        ``of_root`` is the manifest that the root document knows; only who holds the lock ``writes``.
         """
-        self._location = location
+        self._location, self.writes = location, writes
+        self._unwritten_files: dict[str, bytes] = {}  # of one that only looks
         self.damaged: dict[str, str] = {}
         with reading(location):
             self.keys = frozenset(location.keys())
@@ -304,11 +305,12 @@ class Ledger:
 
     def read(self) -> Rows:
         """Return all rows; `rows` has the place of each block in them."""
-        self.flush()
+        if self.writes:
+            self.flush()
         if self._rows is None:
             damaged: dict[str, str] = {}
             with reading(self._location):
-                contents = self._location.get_all([path_of(part.rows) for part in self.parts])
+                contents = self._location.get_all([path_of(part.rows) for part in self.parts]) | self._unwritten_files
             self._rows = np.ascontiguousarray(self._records(contents, damaged)["row"])
             if damaged:
                 raise DamagedError(self._location, damaged)
@@ -367,7 +369,8 @@ class Ledger:
 
     def retype(self, dtype: np.dtype[np.void], samples_width: int, drop: Iterable[bytes]) -> None:
         """Give rows another type, those that are there without the blocks to ``drop``; durable after `flush`."""
-        self.flush()
+        if self.writes:
+            self.flush()
         revision, gone = self.manifest.revision + 1, {bytes(KEY_BYTES), *drop}
         before, self.parts, self.chunks = self.parts, [], set()
         for number, part in enumerate(before):
@@ -381,8 +384,7 @@ class Ledger:
                 changed["row"][kept] = converted(records["row"][kept], dtype)
             self.chunks |= _references(changed)
             samples = samples[np.repeat(kept, _counts(records).astype(np.intp))] if part.samples else samples
-            with writing(self._location):
-                self.parts.append(self._put((changed, samples), revision, 10**6 + number))
+            self.parts.append(self._put((changed, samples), revision, 10**6 + number))
         self.rows.remove(gone)
         self.dtype, self.samples_width, self._rows, self._changed = dtype, samples_width, None, True
 
@@ -402,8 +404,14 @@ class Ledger:
         Raises SweepError too where others have changed or removed the ledger meanwhile.
         """
         if self._changed or again:
-            with writing(self._location):
+            with self.writing():
                 self._flush()
+
+    def writing(self) -> AbstractContextManager[None]:
+        """Return a context as `writing` in which the store is written; nobody has one who only looks at it."""
+        if not self.writes:
+            raise RuntimeError("a store that was opened to look at is not written")
+        return writing(self._location)
 
     def _flush(self) -> None:
         if not self.is_unchanged():
@@ -440,7 +448,7 @@ class Ledger:
         """Remove the files that did not count any more at the last flush, and chunks to which no row refers: at the end
         of a run, since workers write them before their rows come.
         """
-        with writing(self._location):
+        with self.writing():
             self._delete_old()
             there = self._location.keys(f"{FOLDER}/") if self.chunks else ()
             for key in {key for key in there if FILE.fullmatch(key)} - {*map(file_of, self.chunks)}:
@@ -492,8 +500,16 @@ class Ledger:
     def _file(self, name: str, content: bytes, pack: bool = False) -> File:
         written = bytes(zstd.compress(content, 1)) if pack else content
         file = File(name=name, checksum=integrity.checksum(written), size=len(content))
-        self._location.put(path_of(file), written)
+        if self.writes:
+            with self.writing():
+                self._location.put(path_of(file), written)
+        else:
+            self._unwritten_files[path_of(file)] = written
         return file
+
+    def _raw(self, file: File) -> bytes:
+        name = path_of(file)
+        return _raw(file, self._unwritten_files.get(name) or self._location.get(name))
 
     def _records(self, contents: dict[str, bytes | None], damaged: dict[str, str]) -> NDArray[Any]:
         """Return all rows with their keys; those of ``damaged`` files, which are added to that, are zero."""
@@ -513,12 +529,11 @@ class Ledger:
         damaged: dict[str, str] = {}
         samples = np.zeros((0, self.samples_width))
         with reading(self._location), noting(damaged, path_of(part.rows)):
-            content = _raw(part.rows, self._location.get(path_of(part.rows)))
-            records = _unpacked(content, part.records, self.dtype)
+            records = _unpacked(self._raw(part.rows), part.records, self.dtype)
         with reading(self._location), noting(damaged, path_of(part.samples)):
             if part.samples is not None and not damaged:
-                content = _raw(part.samples, self._location.get(path_of(part.samples)))
-                samples = np.frombuffer(content).reshape(int(_counts(records).sum()), self.samples_width)
+                shape = int(_counts(records).sum()), self.samples_width
+                samples = np.frombuffer(self._raw(part.samples)).reshape(shape)
         if damaged:
             raise DamagedError(self._location, damaged)
         self._remember(part, (records, samples))

@@ -124,10 +124,10 @@ class OpenStore:
             raise SweepError(words, str(self.location))
         return dataset if running else finished(dataset)
 
-    def ledger(self) -> Ledger:
+    def ledger(self, writes: bool = False) -> Ledger:
         """Return the ledger; raises SweepError that names the damaged files of it."""
         for _ in range(ATTEMPTS):
-            ledger = Ledger(self.location, manifest_of(self.root))
+            ledger = Ledger(self.location, manifest_of(self.root), writes)
             if not ledger.damaged:
                 return ledger
             with reading(self.location):
@@ -140,10 +140,11 @@ class OpenStore:
 class Store(OpenStore):
     """The open store of one study: what is done, appending to it, and writing the dataset."""
 
-    def __init__(self, opened: OpenStore) -> None:
-        """Open the ledger; raises SweepError where files of it are damaged."""
+    def __init__(self, opened: OpenStore, writes: bool = False) -> None:
+        """Open the ledger, as `Ledger`; raises SweepError where files of it are damaged."""
         super().__init__(opened.location, opened.root)
-        self._ledger = self.ledger()
+        self._ledger = self.ledger(writes)
+        self._writing = self._ledger.writing
         self.failures, self.rows = self._ledger.failures, self._ledger.rows
         self.read, self.samples, self.append = self._ledger.read, self._ledger.samples, self._ledger.append
         self.fail, self.clear_failures = self._ledger.fail, self._ledger.clear_failures
@@ -182,13 +183,13 @@ class Store(OpenStore):
 
     def kept(self, outcomes: Mapping[int, Outcome]) -> dict[int, Outcome]:
         """Return outcomes whose large arrays are in the store; raises SweepError where they cannot be."""
-        with writing(self.location):
+        with self._writing():
             return ledgers.written(outcomes, self.location)
 
     def adopt(self, source: Location, chunks: Set[bytes]) -> None:
         """Copy chunks of another store, by their references; raises SweepError as `read_chunk`."""
         for chunk in chunks - self._ledger.chunks:
-            with writing(self.location):
+            with self._writing():
                 self.location.put(ledgers.file_of(chunk), ledgers.read_chunk(source, chunk))
 
     def verify(self) -> None:
@@ -216,7 +217,7 @@ class Store(OpenStore):
         described = {f"{name}/zarr.json": document for name, document in documents.items()}
         gone = {f"{name}/zarr.json" for name in arrays_of(self.root)} - described.keys()
         in_use = {*described, *checksums, *chunk_checksums(self.root)}
-        with writing(self.location):
+        with self._writing():
             # The order is what makes a kill harmless: rows, then results, then the root that refers to both.
             self.keep_copy(attributes)
             self.flush()
@@ -271,7 +272,7 @@ class Store(OpenStore):
         """
         names = (f"{self.location}.rescued{number if number > 1 else ''}" for number in itertools.count(1))
         place = next(place for place in map(located, names) if place.is_free())
-        beside = Store(create_store(place, {**dataset.attrs, RESCUED: str(self.location)}))
+        beside = Store(create_store(place, {**dataset.attrs, RESCUED: str(self.location)}), writes=True)
         chunks = {n: one.data.used() for n, one in dataset.variables.items() if isinstance(one.data, ledgers.Stored)}
         gone = [name for name, some in chunks.items() if not {*map(ledgers.file_of, some)}.isdisjoint(lost)]
         beside.adopt(self.location, {chunk for name, some in chunks.items() if name not in gone for chunk in some})
@@ -302,7 +303,7 @@ class Store(OpenStore):
         """Record more of the study, such as which code makes the blocks from now on, before there are any."""
         if all(self.attributes.get(name) == value for name, value in attributes.items()):
             return
-        with writing(self.location):
+        with self._writing():
             self._put_root({**self.root, "attributes": {**self.attributes, **attributes}})
             self._ledger.put("study", copied(self.attributes))
 
@@ -704,6 +705,7 @@ def repair(where: Where, *, break_lock: bool = False) -> list[str]:
         _check(location)
     with locked(location, break_lock=break_lock), writing(location):
         report, attributes, ledger = _check(location)
+        ledger.writes = True
         done: list[str] = []
         for file in (*report.identity, *report.ledger):
             if (content := location.get(file)) is not None:

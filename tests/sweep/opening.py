@@ -136,7 +136,8 @@ def existing_store(where, study):
 def create_or_resume(where, study, attributes=None):
     study = study_from_dict(study) if isinstance(study, dict) else study
     attributes = provenance(study) if attributes is None else attributes
-    store = open_store(find_store(where, study) or create_store(where, {**attributes, **identity(study)}), study)
+    opened = find_store(where, study) or create_store(where, {**attributes, **identity(study)})
+    store = open_store(opened, study, writes=True)
     store.keep_copy()
     return store
 

@@ -57,6 +57,10 @@ def test_killed_before_any_operation_it_goes_on(what, where, step, request, tmp_
     left, said = opening.dying(monkeypatch, type(located(f"{base}/s.zarr"))), set()
 
     def between():
+        before = files_of(store)
+        with opening.locked(store), pytest.raises(SweepError, match="is being written by process"):
+            run(document, store)
+        assert files_of(store) == before  # without the lock nothing is written
         if located(store).get("zarr.json") is None:
             with pytest.raises(SweepError, match="no store there"):
                 check(store)
@@ -66,7 +70,7 @@ def test_killed_before_any_operation_it_goes_on(what, where, step, request, tmp_
             said.update(remark.split(":")[0] for remark in report.remarks)
             assert opening.status_report(store)["state"] != "finished" or (linksweep.open(store).status == 1).all()
 
-    for number in itertools.count(0, step):
+    for number in itertools.count(1, step):
         store = f"{base}/{number}.zarr"
         often = {"flush_every_s": -1.0}
         found, killed = opening.until_done(left, number, lambda: run(document, store, tuning=often), between)  # noqa: B023
