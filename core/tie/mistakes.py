@@ -54,7 +54,12 @@ LARGER = {
 LARGEST = {"mas": 1000.0, "mas/yr": 12_000.0, "mas/yr2": 300.0, "mas/yr3": 300.0}
 
 # Shifts of epochs (years) from which the best is looked for.
-STARTS = (0.0, *(sign * years for years in (2.0, 5.0, 10.0, 20.0, 50.0, 100.0) for sign in (1.0, -1.0)))
+STARTS = tuple(sign * years for years in (0, 2, 5, 10, *range(20, 201, 20)) for sign in (1.0, -1.0))
+# Steps of epochs (years) that are rounded.
+STEPS = (1.0, 0.1, 0.01)
+
+# Epochs of positions with errors below 10 mas.
+EARLIEST, LATEST, WHEN_NONE = 1970.0, 2060.0, "when no position had errors below 10 mas"
 
 
 def _motions(objects: Objects) -> Array:
@@ -325,16 +330,28 @@ def _causes(problem: Problem, part: _Part, ratio: float) -> Iterator[Cause]:
         if explains(corrected := _ratio(trial), ratio) and (not hides or 0.1 < _ratio(trial, typical=True) < GOOD):
             yield Cause(words, corrected, hides)
     shift, corrected = _shift(problem, part)
-    if explains(corrected, ratio):
+    table = problem.satellite if part.table == "satellite" else problem.rows
+    if explains(corrected, ratio) and not np.any(part.at & impossible(table.errors, table.epoch + shift)):
         early = "early" if shift > 0.0 else "late"
         yield Cause(f"epochs of {part.words} {round(abs(shift), 2):.3g} years too {early}", corrected)
-    if part.table != "satellite" and np.count_nonzero(part.at) > 2:
-        along, across = (_ratio(_applied(problem, part, _freed(problem, turned=turned))) for turned in (False, True))
-        if explains(along, ratio) and not explains(across, ratio):
-            epochs = np.unique(problem.rows.epoch[part.at & problem.rows.present[0]])
-            all_equal = f"equal ({epochs[0]:g}), but they were measured at different ones"
-            single = "wrong in single rows: positions are off along the proper motion"
-            yield Cause(f"epochs of {part.words} {all_equal if len(epochs) == 1 else single}", along, 1)
+    if part.table == "satellite" or np.count_nonzero(part.at) < 3:
+        return
+    epochs = np.unique(table.epoch[part.at & table.present[0]])
+    free = {100.0: "wrong in single rows: positions are off along the proper motion"}
+    if len(epochs) == 1:
+        free[100.0] = f"equal ({epochs[0]:g}), but they were measured at different ones"
+    elif steps := [step for step in STEPS if np.all(np.abs(epochs - step * np.round(epochs / step)) < 1e-6)]:
+        free = {0.6 * steps[0]: f"in steps of {steps[0]:g} yr, in which stars move by more than the errors"} | free
+    for years, words in free.items():
+        along, across = (_ratio(_applied(problem, part, _freed(problem, turn, years))) for turn in (False, True))
+        if explains(along, ratio) and (not explains(across, ratio) or along < 0.2 * across):
+            yield Cause(f"epochs of {part.words} {words}", along, 1)
+            return
+
+
+def impossible(errors: Array, epoch: Array) -> Flags:
+    """Return which positions (N,) are of an epoch when none had such errors, of the errors (5, N) of rows."""
+    return np.asarray((errors[0] < 10.0 * MAS) & ((epoch < EARLIEST) | (epoch > LATEST)))
 
 
 def _two(problem: Problem) -> list[Cause]:
@@ -446,9 +463,9 @@ def _scaled(rows: Sequence[int], factor: float, values: bool = False, errors: bo
     return change
 
 
-def _freed(problem: Problem, turned: bool) -> Change:
-    """Return a change that gives positions an error along the proper motions, as if epochs were not known; or, if
-    ``turned``, across them.  Single-epoch positions are also uncertain by the parallax.
+def _freed(problem: Problem, turned: bool, years: float) -> Change:
+    """Return a change that gives positions an error along the proper motions, as if epochs were known to some years
+    only; or, if ``turned``, across them.  Single-epoch positions are also uncertain by the parallax.
     """
 
     def change(rows: Astrometry) -> Astrometry:
@@ -456,11 +473,12 @@ def _freed(problem: Problem, turned: bool) -> Change:
         motion = np.nan_to_num(star.values[[4, 3] if turned else [3, 4]]) * np.array([[-1.0 if turned else 1.0], [1.0]])
         with np.errstate(invalid="ignore", divide="ignore"):
             size = np.where(np.any(motion != 0.0, axis=0), 1e5 * rows.errors[0] / np.hypot(*motion), 0.0)
-        along = motion * np.where(rows.present[0], np.minimum(size, 100.0), 0.0)
+        along = motion * np.where(rows.present[0], np.minimum(size, years), 0.0)
         covariance = rows.covariance()
         covariance[:, :2, :2] += np.einsum("ir,jr->rij", along, along)
         seen = rows.apparent & rows.present[0]
-        covariance[seen, :2, :2] += np.eye(2) * np.nan_to_num(star.values[2, seen, None, None]) ** 2
+        parallax = min(1.0, 3.0 * years) * np.nan_to_num(star.values[2, seen, None, None])
+        covariance[seen, :2, :2] += np.eye(2) * parallax**2
         errors, correlations = by_errors(covariance)
         errors = np.where(rows.present, errors, rows.errors)
         return replace(rows, errors=errors, correlations=correlations[*np.array(PAIRS).T])
@@ -520,7 +538,7 @@ def best_shift(at: Callable[[float], float]) -> float:
     Near its minimum chi2 is a parabola in the shift.  Starts and first steps are whole years, over which the parallax
     does not change.
     """
-    shift = min(STARTS, key=at)
+    shift: float = min(STARTS, key=at)
     for step in (8.0, 4.0, 2.0, 1.0):
         shift = min((shift, shift - step, shift + step), key=at)
     for step in (1.0, 0.05, 0.02, 0.02):

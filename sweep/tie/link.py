@@ -135,7 +135,9 @@ def solve_link(
             large = large[np.argsort(-part[large])]
             listed = ", ".join(f"{setup.names[places[k]]} ({100.0 * part[k]:.0f} %)" for k in large)
             notes.append(f"more than {100 * solving.LARGE_SHARE:.0f} % of the weight in {block}: {listed}")
-    notes = [*([doubt.text] if doubt.text else []), *setup.notes, *further, *result.notes, *notes]
+    odd = [note for note in setup.notes if mistakes.WHEN_NONE in note] if doubt.text else []
+    doubt = doubt._replace(text=" ".join([*odd, doubt.text]))
+    notes = [*filter(None, [doubt.text]), *(n for n in setup.notes if n not in odd), *further, *result.notes, *notes]
     of_sources = effect, squares, sources.count
     return Link(setup, str(how), result, covariances, samples, *of_sources, doubt, tuple(notes), noise)
 

@@ -63,9 +63,6 @@ UNEQUAL = 100.0
 # Errors of the positions of calibrators, mas.
 CALIBRATORS = (0.005, 50.0)
 
-# Epochs of positions with errors below 10 mas.
-EARLIEST, LATEST = 1970.0, 2060.0
-
 # Of values, and of the errors of positions.
 UNITS = {name: archives.unit_of(f"{name}_error").replace(" ", "") for name in (*PARAMETERS, *ACCELERATIONS)}
 
@@ -250,10 +247,9 @@ def astrometric_table(table: Any, where: str, digest: str, options: TableOptions
     epoch = _epochs(read, options)
     if options.parallax_zero_point:
         values[2] -= _zero_points(read, epoch)
-    exact = errors[0] < 10.0 * MAS
-    if np.any(exact & ((epoch < EARLIEST) | (epoch > LATEST))):
-        span = f"{np.nanmin(epoch[exact]):g} to {np.nanmax(epoch[exact]):g}"
-        read.notes.append(f"epochs from {span}, when no position had errors below 10 mas: are they right?")
+    if len(wrong := epoch[mistakes.impossible(errors, epoch)]):
+        span = f"{wrong.min():g} to {wrong.max():g}"
+        read.notes.append(f"epochs from {span}, {mistakes.WHEN_NONE}: are they right?")
     positions = options.positions or table.meta.get("positions", "single-epoch")
     if positions not in POSITIONS:
         read.problems.append(f"positions {positions!r}: must be {' or '.join(POSITIONS)}")
@@ -398,7 +394,7 @@ def _check_positions(read: Columns, values: Array, errors: Array) -> None:
                 read.require(name)
             continue
         is_position, column = name in ("ra", "dec"), str(read.name(name))
-        if is_position and read.kind(column) == "f" and read.table[column].dtype.itemsize < 8:
+        if is_position and _in_single_precision(read, column):
             size = np.abs(row) * (np.cos(values[1]) if name == "ra" else 1.0)
             what = f"positions in single precision (column {column!r}), too coarse for their errors,"
             read.check(size * 2.0**-24 > COARSE * error, what)
@@ -408,6 +404,15 @@ def _check_positions(read: Columns, values: Array, errors: Array) -> None:
         read.check(np.isfinite(error) & ~np.isfinite(row), f"an error but no value of {name}")
     read.check(np.abs(values[1]) > 0.5 * np.pi * (1.0 + 1e-12), "a dec outside -90..90 deg")
     read.check((values[0] < -np.pi - 1e-9) | (values[0] > 2.0 * np.pi + 1e-9), "an ra outside -180..360 deg")
+
+
+def _in_single_precision(read: Columns, name: str) -> bool:
+    """Return whether numbers are of single precision, stored as float64 too, where few digits (10.5) say nothing."""
+    if read.kind(name) != "f":
+        return False
+    values = np.nan_to_num(read.numbers(name))
+    few = read.table[name].dtype.itemsize == 8 and not np.any(values * 1024.0 % 1.0)
+    return not few and np.array_equal(values, values.astype(np.float32))
 
 
 def _rounded(angle: Array, error: Array) -> Indices:

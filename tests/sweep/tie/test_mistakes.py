@@ -101,7 +101,12 @@ MISTAKES = {
     "motions reversed": ("satellite", scaled(MOTIONS, -1.0), "proper motions of the satellite with reversed sign"),
     "half a year early there": ("reference", epochs_moved(-0.5), "epochs of the reference 0.5 years too early"),
     "a quarter year late there": ("reference", epochs_moved(0.25), "epochs of the reference 0.25 years too late"),
-    "a century early there": ("reference", epochs_moved(-100.0), "epochs of the reference 100 years too early"),
+    "a century early there": ("reference", epochs_moved(-150.0), "no position .* of the reference 150 years too early"),
+    "epochs cut": (
+        "reference",
+        {"ref_epoch": lambda table: np.floor(table["ref_epoch"])},
+        "epochs .* in steps of 1 yr",
+    ),
     "one star reversed": ("satellite", {"pmra": one_reversed}, r"pmra of \d+ in the satellite with reversed sign"),
     "epochs equal": ("reference", {"ref_epoch": lambda table: 2016.0}, "epochs of .* equal"),
     "parallax in arcsec": ("satellite", scaled(["parallax"], 1e-3), "parallaxes of the satellite, arcsec taken"),
@@ -122,7 +127,7 @@ MISTAKES = {
     "galactic": ("reference", partial(in_frame, frame="galactic"), r"positions of reference.fits galactic\?"),
 }
 QUICK = {"mu_alpha", "half a year early there", "one star reversed", "errors in uas", "one row twice", "B1950"}
-QUICK |= {"motion errors in uas", "one parallax missing", "ecliptic"}
+QUICK |= {"motion errors in uas", "one parallax missing", "ecliptic", "epochs cut", "a century early there"}
 PAIRS = [("motions exchanged", one, 12, 3) for one in ("motions in arcsec there", "mu_alpha there")]
 PAIRS += [("mu_alpha", "a quarter year late there", 12, 3), ("a century early there", "one star reversed", 12, 3)]
 PAIRS += [("mu_alpha", "mu_alpha there", 10, 2)]  # which wrong epochs of single rows would explain as well

@@ -33,7 +33,7 @@ REFUSED = [
     ("a pmra_error of 0 .* in row 3", {"pmra_error": at(3, 0.0)}, {}, {}),
     ("of the position has a value in row 2", {}, {"ra": at(2, np.nan), "ra_error": at(2, np.nan)}, {}),
     ("impossible .* in row 3", {"ra_dec_corr": at(3, 1.5, 0.0)}, {}, {}),
-    ("single precision .* too coarse .* in row 1, 2, 3", {"ra": np.full(N, 100.0, np.float32)}, {}, {}),
+    ("single precision .* too coarse .* in row 1, 2, 3", {"ra": np.float64(np.linspace(1, 99, N, dtype="f4"))}, {}, {}),
     (r"no ra_dec_corr \(write 0 for none\) in row 2", {"ra_dec_corr": at(2, np.nan)}, {}, {}),
     ("each source needs a position, .* row 1, 2, 3, 4, 5 and 7 more", dict.fromkeys(POSITION), {}, {}),
     (r"orientation needs positions in the reference\)$", {}, dict.fromkeys(POSITION), {"unknowns": "orientation"}),
