@@ -69,10 +69,11 @@ def headline_variables(dataset: xr.Dataset) -> list[str]:
 
 
 def with_values(dataset: xr.Dataset, names: Sequence[str]) -> list[str]:
-    """Return those of some variables that have a value at any point, or all if none has one: a link that does not
-    solve for the spin, for example, has no error of it.
+    """Return some variables, those first that have a value at any point; of links only these, if there are any: one
+    that does not solve for the spin, for example, has no error of it.
     """
-    return [name for name in names if is_known(dataset[name].values).any()] or list(names)
+    known = [name for name in names if is_known(dataset[name].values).any()]
+    return known if known and FUNCTION not in dataset.attrs else [*known, *(n for n in names if n not in known)]
 
 
 def is_known(values: NDArray[Any]) -> NDArray[np.bool_]:
@@ -81,8 +82,8 @@ def is_known(values: NDArray[Any]) -> NDArray[np.bool_]:
 
 
 def headlines(dataset: xr.Dataset) -> list[str]:
-    """Return the quantities that a study is about: the headline outputs that have values, or the first quantity if
-    there are none.
+    """Return the quantities that a study is about: the headline outputs as `with_values` has them, or the first
+    quantity if there are none.
     """
     known = quantities(dataset)
     return with_values(dataset, [name for name in headline_variables(dataset) if name in known]) or known[:1]

@@ -131,7 +131,9 @@ def _study_figure(dataset: xr.Dataset, kind: str | None, variables: list[str], o
     for name in names:
         quantity.require_quantity(dataset, name)
     dataset = dataset.assign_coords({d: dataset[d] for name in names for d in dataset[name].dims})
-    dataset = _where_known(dataset, names[0])
+    # Infinity has no place in a figure; the caption says how often it is left out.
+    finite = {n: dataset[n].where(abs(dataset[n]) < np.inf) for n in names if dataset[n].dtype.kind == "f"}
+    dataset = _where_known(dataset.assign(finite), names[0])
     _require_values(dataset, names)
     part = style.with_chosen_component(dataset.squeeze([d for d in single if d not in over]))
     possible = [name for name, one in KINDS["grid"].items() if one.load().possible(part, names[0])]

@@ -591,7 +591,12 @@ def _signs(figure: Figure, dataset: xr.Dataset) -> list[str]:
     if PUBLISHED in entries:
         sources = sorted({str(v.attrs["source"]) for v in dataset.data_vars.values() if "source" in v.attrs})
         sentences.append(": ".join(filter(None, ["Open symbols are published", "; ".join(sources)])) + ".")
-    return sentences + [words for label, words in UNLABELLED.items() if label in labels]
+    sentences += [words for label, words in UNLABELLED.items() if label in labels]
+    numbers = {name: dataset[name].values for name in _drawn(figure, dataset) if dataset[name].dtype.kind == "f"}
+    infinite = {name: int(np.isinf(values).sum()) for name, values in numbers.items()}
+    return sentences + [
+        f"Not drawn: {formatting.counted(n, 'infinite value')} of {x}." for x, n in infinite.items() if n
+    ]
 
 
 def _has_error_bars(axes: Axes) -> bool:
@@ -600,12 +605,17 @@ def _has_error_bars(axes: Axes) -> bool:
     return any(str(one.get_label()).lstrip("_") != PUBLISHED for one in bars)
 
 
+def _drawn(figure: Figure, dataset: xr.Dataset) -> dict[str, None]:
+    """Return the quantities that a figure draws: the labels of its axes."""
+    return dict.fromkeys(str(axes.get_label()) for axes in figure.axes if axes.get_label() in dataset)
+
+
 def _ranges(figure: Figure, dataset: xr.Dataset) -> list[str]:
-    """Return a sentence about the values of each quantity that a figure draws: the labels of its axes."""
+    """Return a sentence about the values of each quantity that a figure draws."""
     if "status" not in dataset:
         return []
     sentences, variables = [], with_chosen_component(dataset).data_vars.items()
-    for drawn in dict.fromkeys(str(axes.get_label()) for axes in figure.axes if axes.get_label() in dataset):
+    for drawn in _drawn(figure, dataset):
         alone = dataset.assign({name: array.assign_attrs(headline=name == drawn) for name, array in variables})
         for one in answer.answers(alone):
             meaning = f" ({one.meaning})" if one.meaning else ""

@@ -269,15 +269,17 @@ def _axes(dataset: xr.Dataset, dims: Sequence[str]) -> Iterator[dict[str, Any]]:
                 "numeric": numeric,
                 "ordered": ordered,
                 "logarithmic": numeric and style.is_logarithmic(array),
-                "values": _numbers(array.astype(float)) if numeric else texts,
+                "values": _numbers(array.astype(float).where(np.isfinite(array))) if numeric else texts,
                 "texts": texts,
             }
 
 
 def _numbers(array: xr.DataArray) -> list[Any]:
-    """Return the numbers of an array in C order, None where not finite, integers that JavaScript lacks as texts."""
+    """Return the numbers of an array in C order, None where missing, those that JavaScript or JSON lacks as texts."""
     flat = array.values.reshape(-1).tolist()
-    return [str(n) if isinstance(n, int) and abs(n) > 2**53 else formatting.finite_or(n, None) for n in flat]
+    as_text = [abs(n) > 2**53 if isinstance(n, int) else np.isinf(n) for n in flat]
+    texts = (str(n).replace("inf", "Infinity") if large else n for n, large in zip(flat, as_text, strict=True))
+    return [None if formatting.is_missing(n) else n for n in texts]
 
 
 # The beginning of every report: a file that does not begin with it is not replaced.

@@ -177,13 +177,22 @@ def test_the_answer_names_range_places_and_what_changes_it():
     for value, phrase in (
         (VALUES, "It is between 2 mas (model=old, size=4) and 80 mas (model=new, size=1), over 6 points."),
         (VALUES, "What changes it: model by a factor of up to 10, size by a factor of up to 8, all else being equal."),
-        (np.full((2, 3), np.nan), "It is a finite number at no point that is done."),
         *((np.full((2, 3), 7.0), "7 mas"), ([[1.0, np.inf, 2.0], [1.0] * 3], "over 5 of 6 points.")),
         ([[np.nan, np.nan, 3.0], [np.nan] * 3], "3 mas at model=old, size=4"),
         ([[1.0, -1.0, 0.0], [0.0] * 3], "between -1 mas (model=old, size=2) and 1 mas"),
-        ([[1.0, np.inf, 2.0], [1.0] * 3], "It is not a finite number at 1 point."),
     ):
         assert phrase in sentences(grid(value))
+
+
+def test_infinity_and_outputs_that_are_always_missing_are_named(tmp_path):
+    @linksweep.experiment(outputs=[linksweep.Output(name, nan=True) for name in "zy"])
+    def odd(x: float):
+        return {"y": np.inf if x > 2.0 else x, "z": np.nan}
+
+    page = report_page([("s", linksweep.run(odd, tmp_path / "s.zarr", axes={"x": [1.0, 2.0, 3.0]}, pool="serial"))])
+    seen = '[1.0, 2.0, "Infinity"]', '<button type="button">z<', "Not drawn: 1 infinite value of y. <"
+    for words in (*seen, "It is a finite number at no point that is done.", "It is not a finite number at 1 point."):
+        assert words in page
 
 
 @pytest.mark.parametrize("factor", [1.0, 1000.0])
