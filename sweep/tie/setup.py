@@ -208,7 +208,7 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
     for frame, (name, path) in enumerate({SIDES[1]: str(files.path_of(reference)), **missions}.items()):
         if not frame and path == ZERO_MOTION:
             moving = moving_sources(left.astrometry)
-            table = AstrometricTable(ZERO_MOTION, "", zero_motion(len(moving)), {}, options=how[name])
+            table = AstrometricTable(ZERO_MOTION, "", zero_motion(len(moving), options), {}, options=how[name])
             matched, rows = Match(moving, EVERY_SOURCE, moving * 0 - 1), table.astrometry
             notes += without_motion(0 if all_sources else n - len(moving), n)
         else:
@@ -300,10 +300,12 @@ def _exactly(table: Astrometry, known: Flags, motion: Array | float = 0.0) -> As
     return replace(table, values=values, errors=errors, at_rest=known)
 
 
-def zero_motion(n: int) -> Astrometry:
-    """Return n rows of a reference whose sources do not move."""
-    zeros = np.broadcast_to(np.array([np.nan, np.nan, np.nan, 0.0, 0.0])[:, None], (5, n))  # takes no memory
-    return Astrometry(zeros, zeros, np.broadcast_to(np.nan, n))
+def zero_motion(n: int, options: Options) -> Astrometry:
+    """Return n rows of a reference whose sources do not move, and where a zero point is asked for have no parallax."""
+    parallax = 0.0 if "parallax" in listed(options.unknowns) else np.nan
+    zeros = np.broadcast_to(np.array([np.nan, np.nan, parallax, 0.0, 0.0])[:, None], (5, n))  # takes no memory
+    known = np.broadcast_to(np.arange(5)[:, None] == 2, (5, n))
+    return Astrometry(zeros, zeros, np.broadcast_to(np.nan, n), at_rest=known)
 
 
 def moving_sources(stars: Astrometry) -> Indices:
@@ -711,7 +713,7 @@ class RowGroup:
         stars = self.read().astrometry
         known, source = known_unknowns(self.options, stars), moving_sources(stars)
         jitter = parse_jitter(self.options.jitter, ())
-        rows = with_jitter(zero_motion(len(source)), jitter.get("reference", {}))
+        rows = with_jitter(zero_motion(len(source), self.options), jitter.get("reference", {}))
         return Problem(stars, rows, source, self.unknowns, self.epoch, self.options.weights, known)
 
     def read(self) -> AstrometricTable:
@@ -780,7 +782,7 @@ def set_up_row_groups(
     problems = [replace(group, epoch=epoch, unknowns=unknowns).problem for group in groups]
     numbers = np.arange(n + 1)  # one array for the sources and, from 1, for their names
     stars = Astrometry(values, np.broadcast_to(np.nan, (5, n)), np.broadcast_to(epoch, n))
-    problem = Problem(stars, zero_motion(n), numbers[:-1], unknowns, epoch, options.weights)
+    problem = Problem(stars, zero_motion(n, options), numbers[:-1], unknowns, epoch, options.weights)
     left = AstrometricTable(str(satellite), digest, stars, {}, options=table_options(options)[SIDES[0]])
     right = AstrometricTable(ZERO_MOTION, "", problem.rows, {})
     matched = Match(numbers[:-1], EVERY_SOURCE, np.broadcast_to(-1, n))
@@ -793,7 +795,7 @@ def _unknowns(group: RowGroup, sample: Array, notes: list[str]) -> Unknowns:
     """Return the unknowns of the whole table: the first rows say which are determined, all rows which bins are used."""
     stars = group.read().astrometry
     few = stars.taken(moving_sources(stars)[:1000])
-    rows = zero_motion(len(few))
+    rows = zero_motion(len(few), group.options)
     if group.options.bins:
         few = replace(few, columns={parse_bins(group.options.bins)[0]: sample} if len(sample) else {})
     problem = Problem(few, rows, np.arange(len(few)), group.unknowns, group.epoch)

@@ -381,7 +381,8 @@ def _note_unlikely(read: Columns, names: Sequence[str], values: Array, errors: A
 def _note_unequal(read: Columns, errors: Array) -> None:
     """Note errors of the two coordinates, or of their motions, of which one is likely to be in another unit."""
     for one, other in ((0, 1), (3, 4)):
-        both = errors[[one, other]][:, np.isfinite(errors[[one, other]]).all(axis=0)]
+        both = errors[[one, other]]
+        both = both[:, ((both > 0.0) & (both < np.inf)).all(axis=0)]
         if both.size and not 1.0 / UNEQUAL < (ratio := np.divide(*np.median(both, axis=1))) < UNEQUAL:
             names = f"{PARAMETERS[one]} are {ratio:.3g} times those of {PARAMETERS[other]}"
             read.notes.append(f"errors of {names}: is one of them in another unit?")

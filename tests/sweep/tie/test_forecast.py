@@ -205,6 +205,9 @@ def test_new_positions_of_quasars_are_mean_ones_that_hold_at_any_epoch(tmp_path,
         np.testing.assert_allclose(turned, links[0].estimate, rtol=1e-5)
         plan = forecast(tables[0], "zero-motion", "orientation,spin", **plan)
         np.testing.assert_allclose(plan.error[1], links[1].error)
+        rest = gaia(tmp_path / "rest.ecsv", only(quasars, ~POSITION, errors=np.zeros((5, 12))))
+        both = (tie(tables[0], one, "spin,parallax", zero_errors="exact") for one in (rest, "zero-motion"))
+        np.testing.assert_array_equal(*([link.estimate, link.error] for link in both))
 
 
 def test_new_positions_are_of_the_kind_that_the_reference_is_marked_to_be(folder):
