@@ -38,7 +38,7 @@ from linksweep.sweep.stores.store import BLOCKS, CODE, OpenStore, Store, create_
 from linksweep.sweep.studies.reader import problems_of_results
 from linksweep.sweep.studies.record import RECORD, as_recorded, provenance, recorded, recorded_study
 from linksweep.sweep.studies.study import PART, Study
-from linksweep.sweep.tables.columns import content_digest, rows_where
+from linksweep.sweep.tables.columns import Flags, content_digest, rows_where
 from linksweep.sweep.tables.reader import from_frame
 
 OLD = "old"
@@ -177,14 +177,26 @@ def require_known(study: Study, points: Callable[[Grid], Iterable[GridPoint]]) -
             raise SweepError(f"{why}; run that, or leave the earlier points out by --only (only=True)")
 
 
+def where_met(study: Study, points: Sequence[GridPoint], condition: str, made_by_other: Sequence[bool]) -> Flags:
+    """Return at which points of a study a condition of ``--redo`` is true; raises SweepError for one that is none."""
+    import pandas as pd  # takes a quarter of a second
+
+    texts = {name for p in points for name, value in p.parameters.items() if isinstance(value, str | Named)}
+    labelled = [texts.difference(study.missing(p.parameters)) for p in points]
+    table = [
+        {OLD: is_old} | {name: str(value) if name in some else value for name, value in p.parameters.items()}
+        for p, is_old, some in zip(points, made_by_other, labelled, strict=True)
+    ]
+    columns = pd.DataFrame(table, index=range(len(points))).convert_dtypes()
+    return rows_where(from_frame(columns), condition, "--redo", may_be_none=True)
+
+
 def again_where(store: Store, study: Study, condition: str) -> dict[bytes, Record | None]:
     """Return the points of a study to be computed again where a condition is true, by their digests, with why.
 
     Where a run with the same condition was killed, they are those that it has left.  What other code made of points
     that are not in the study any more is to be forgotten: None.  Raises SweepError for a condition that is none.
     """
-    import pandas as pd  # takes a quarter of a second
-
     message = AGAIN + condition
     left = {digest for digest, record in store.failures.items() if record["message"] == message}
     rows = defaultdict[bytes, list[int]](list)
@@ -194,14 +206,7 @@ def again_where(store: Store, study: Study, condition: str) -> dict[bytes, Recor
     failed = store.failures.keys() if differences_of_code(records_of(store.attributes), study) else set[bytes]()
     points = [point for point in Grid(study).points() if point.digest in rows or point.digest in store.failures]
     made_by_other = [p.digest in failed or not other.isdisjoint(rows[p.digest]) for p in points]
-    texts = {name for p in points for name, value in p.parameters.items() if isinstance(value, str | Named)}
-    labelled = [texts.difference(study.missing(p.parameters)) for p in points]
-    table = [
-        {OLD: is_old} | {name: str(value) if name in some else value for name, value in p.parameters.items()}
-        for p, is_old, some in zip(points, made_by_other, labelled, strict=True)
-    ]
-    columns = pd.DataFrame(table, index=range(len(points))).convert_dtypes()
-    met = rows_where(from_frame(columns), condition, "--redo", may_be_none=True) if points else ()
+    met = where_met(study, points, condition, made_by_other) if points else ()
     record = {"kind": "again", "message": message, "traceback": "", "host": host(), "when": now()}
     known = {point.digest for point in points}
     again = dict[bytes, Record | None].fromkeys(d for d in rows.keys() - known if not other.isdisjoint(rows[d]))
@@ -678,6 +683,9 @@ class Session:
         opened = replace_store(where, attributes_of(Plan(grid))) if fresh else find_store(where, study, beside.keep)
         if retry and opened is None:
             raise SweepError("no store is there whose failed points could be computed again", str(where))
+        if beside.redo and opened is None:
+            points = list(grid.points())
+            where_met(study, points, beside.redo, [False] * len(points))
         if opened is not None:
             study = whole = as_recorded(study, opened.attributes) if study.experiment.undeclared else study
             store = open_store(opened, study, writes)

@@ -215,9 +215,10 @@ def test_a_condition_that_is_none_is_refused_and_never_run(here):
     study = {"axes": {"x": [1.0, 2.0]}, "store": here / "s.zarr", "pool": "serial"}
     linksweep.run(lambda x: 2.0 * x, **study)
     for condition, words in (("y > 2", "no column 'y'"), ("__import__('os').mkdir('there') or x > 1", "not allowed")):
-        with pytest.raises(SweepError, match=words):
-            linksweep.run(lambda x: 2.0 * x, **study, redo=condition)
-    assert not (here / "there").exists()
+        for store in ("s.zarr", "new.zarr"):
+            with pytest.raises(SweepError, match=words):
+                linksweep.run(lambda x: 2.0 * x, **study | {"store": here / store}, redo=condition)
+    assert [path.name for path in here.iterdir()] == ["s.zarr"]
 
 
 @pytest.mark.parametrize(("axis", "condition", "chosen"), CHOSEN)
