@@ -2,8 +2,9 @@
 
 The points of a quantity along an axis are a `Line`, with errors that are found by the names which
 `linksweep.sweep.analysis.quantity` describes.  To each a law is fitted, the power law or one that levels off; between
-two points a value or a crossing is interpolated: linearly in the logarithm of the quantity where that is above 0, and
-in that of the axis if all its values are above 0 and its unit is not logarithmic already, as magnitudes are.
+two points a value or a crossing is interpolated: linearly in the logarithm of the quantity where both, and the limit,
+are above 0, and in that of the axis if all its values are above 0 and its unit is not logarithmic already, as
+magnitudes are.
 """
 
 import math
@@ -248,9 +249,9 @@ def lines_of(
     status_of = dataset["status"]
     if (ragged := dataset[variable].attrs.get(RAGGED)) is not None:
         status_of = status_of.where(~(dataset[ragged] >= dataset[variable + LENGTH]), int(Status.EXCLUDED))
-    x, status = dataset[over].values[order].astype(float), rows(status_of, dimension)
-    value = rows(dataset[variable].astype(float), dimension)  # integers too: errors may be NaN
-    none = np.nan * dataset[variable].astype(float)
+    x, status = quantity.numbers(dataset, over).values[order], rows(status_of, dimension)
+    value = rows(numbers := quantity.numbers(dataset, variable), dimension)
+    none = np.nan * numbers
     errors = rows(none if error is None else error, dimension) if covariance is None else rows(covariance, *pair)
     made = []
     for number, (index, unit) in enumerate(
@@ -410,12 +411,13 @@ def ratio(dataset: xr.Dataset, variable: str, axis: str, of: Any, to: Any) -> xr
     for part in parts:
         quantity.require_done(part)
     along = [name for name, coordinate in dataset.coords.items() if dataset[axis].dims[0] in coordinate.dims]
-    above, below = (part[variable].astype(float).drop_vars(along, errors="ignore") for part in parts)
+    above, below = (quantity.numbers(part, variable).drop_vars(along, errors="ignore") for part in parts)
     bottom = below.where(below != 0.0)
     meaning = f"{variable} at {axis} = {of} over that at {axis} = {to}"
     result = (above / bottom).rename("ratio").drop_attrs(deep=False).assign_attrs(described("", meaning)).to_dataset()
-    weights, (one, other) = ((1.0 / bottom).values, (-above / bottom**2).values), places
-    error = quantity.error_of_sum(dataset, variable, one, other, weights)
+    scaled, power = np.frexp(bottom.values)  # whose square is a float
+    slope = -np.ldexp(np.ldexp(above.values, -power) / scaled**2, -power)
+    error = quantity.error_of_sum(dataset, variable, places[0], places[1], ((1.0 / bottom).values, slope))
     if error is not None:
         result["ratio_error"] = result["ratio"].dims, error, described("", "one-sigma error of ratio")
     return result
@@ -526,12 +528,12 @@ def points_where(dataset: xr.Dataset, limit: Limit) -> xr.Dataset:
     Raises SweepError for an unknown quantity, one with further dimensions, and points that are not done.
     """
     quantity.require_quantity(dataset, limit.variable)
-    array = dataset[limit.variable]
+    array = quantity.numbers(dataset, limit.variable)
     if further := ", ".join(str(d) for d in array.dims if d != POINT):
         raise SweepError(f"{limit.variable} has {further} at each point: fix it with --at, or name it with --over")
     quantity.require_done(dataset)
     threshold = limit.number_in(units_of(array.attrs))
-    return dataset.isel({POINT: np.flatnonzero(limit.is_met(array.values.astype(float), threshold))})
+    return dataset.isel({POINT: np.flatnonzero(limit.is_met(array.values, threshold))})
 
 
 # Between points
@@ -607,7 +609,7 @@ def interpolate(
         [0.59264, 0.00097]
     """
     made = lines(dataset, variable, over, covariance)
-    if not isinstance(at, bool | int | float | np.number):  # a text may be meant in another unit
+    if not isinstance(at, bool | int | float | np.number) or np.isnan(at):  # a text may be meant in another unit
         raise SweepError(f"{over} = {shown(at)}: must be a number, in the unit of the axis")
     at, rows = float(at), np.full((len(made.lines), 2), np.nan)
     for row, line in ((row, line) for row, line in zip(rows, made.lines, strict=True) if len(line.x)):
@@ -616,13 +618,13 @@ def interpolate(
             wanted, first, *_, last = plain([at, *x.tolist()])
             raise SweepError(f"{over} = {wanted} is beyond the points, which go from {first} to {last}")
         i = min(max(int(np.searchsorted(x, at)) - 1, 0), len(x) - 2)
-        u, spread, logarithm = _pair(line, i)
+        u, spread, power = _pair(line, i)
         *_, z = scale = on_scale(np.append(x, at), made.over_unit)
         fraction = (z - scale[i]) / (scale[i + 1] - scale[i])
         weights = np.array([1.0 - fraction, fraction])
         value, variance = weights @ u, np.maximum(weights @ spread @ weights, 0.0) * small_sample_factor(line.samples)
         error = np.sqrt(variance)
-        row[:] = (np.exp(value), np.exp(value) * error) if logarithm else (value, error)
+        row[:] = (np.exp(value), np.exp(value) * error) if power is None else np.ldexp([value, error], power)
     attributes, rows = dataset[variable].attrs, rows.T.reshape(2, *(made.grid.sizes[d] for d in made.dims))
     of_error = described(units_of(attributes), f"one-sigma error of {variable}")
     values = {variable: (made.dims, rows[0], attributes), f"{variable}_mc_error": (made.dims, rows[1], of_error)}
@@ -651,9 +653,9 @@ def _cross(line: Line, limit: Limit, threshold: float, over_unit: str) -> dict[s
 def _crossing(line: Line, i: int, threshold: float, over_unit: str) -> tuple[float, float]:
     """Return where the line from point i to the next one meets the threshold, and the error of that.
 
-    The line is within two of its errors of the threshold up to two errors of the place, on the side where that is
-    farther (Fieller 1954): noise, which chooses the points on both sides, makes the line between them too steep.  The
-    error is NaN where the line does not leave the threshold, on the side that it crosses to.
+    The line is within two of its errors of the threshold up to two errors of the place, in the unit of the axis, on the
+    side where that is farther (Fieller 1954): noise, which chooses the points on both sides, makes the line between
+    them too steep.  The error is NaN where the line does not leave the threshold, on the side that it crosses to.
     """
     (u, *_), z = _pair(line, i, threshold), on_scale(line.x, over_unit)
     fraction = u[0] / (u[0] - u[1])
@@ -661,12 +663,14 @@ def _crossing(line: Line, i: int, threshold: float, over_unit: str) -> tuple[flo
     mirrored = replace(line, y=np.flip(line.y), errors=np.flip(line.errors))
     after = _reach(line, z, i, fraction, threshold)
     before = _reach(mirrored, -z[::-1], len(z) - 2 - i, 1.0 - fraction, threshold)
-    error = np.maximum(after - place, before + place) / SIGMAS
-    if _is_logarithmic(line.x, over_unit):
-        return float(np.exp(place)), float(np.exp(place) * error)
-    return float(place), float(error)
+    back = np.exp if _is_logarithmic(line.x, over_unit) else np.positive
+    with np.errstate(over="ignore"):  # a reach beyond all floats is not known
+        places = back(np.array([place, after, -before]))
+    error = np.abs(places - places[0]).max() / SIGMAS
+    return float(places[0]), float(error) if error < np.inf else np.nan
 
 
+@np.errstate(all="ignore")  # what is no number is no reach
 def _reach(line: Line, z: Array, start: int, fraction: float, threshold: float) -> float:
     """Return up to which place a line is within `SIGMAS` of its errors of a threshold, or on the side it comes from,
     from where it meets it, a fraction of the way from point ``start`` to the next; beyond the last point the line goes
@@ -682,9 +686,8 @@ def _reach(line: Line, z: Array, start: int, fraction: float, threshold: float) 
         a, b, c = slope**2 - along @ spread @ along, off * slope - at @ spread @ along, off**2 - at @ spread @ at
         if np.isnan(c):  # errors that are not known
             break
-        with np.errstate(invalid="ignore", divide="ignore"):
-            root = -b - np.copysign(np.sqrt(b * b - a * c), b)
-            ends = np.array([c / root, root / a])  # of which the first is exact where a is small
+        root = -b - np.copysign(np.sqrt(b * b - a * c), b)
+        ends = np.array([c / root, root / a])  # of which the first is exact where a is small
         ends = ends[(ends >= 0.0) & (side * (off + slope * ends) > 0.0)]
         s = 0.0 if c >= 0.0 <= side * off else min(ends, default=np.inf)
         if np.isfinite(s) and (fraction + s <= 1.0 or i == len(z) - 2):
@@ -693,15 +696,20 @@ def _reach(line: Line, z: Array, start: int, fraction: float, threshold: float) 
     return np.nan
 
 
-def _pair(line: Line, i: int, threshold: float | None = None) -> tuple[Array, Array, bool]:
-    """Return two neighbouring values less a threshold, if there is one, and their covariance (2, 2); and whether these
-    are logarithms, as where all are above 0.
+def _pair(line: Line, i: int, threshold: float | None = None) -> tuple[Array, Array, int | None]:
+    """Return two neighbouring values less a threshold, if there is one, and their covariance (2, 2), over a power
+    of two so that squares are floats; and its exponent, None if these are logarithms, as where all are above 0.
     """
-    values, part = line.y[i : i + 2], slice(i, i + 2)
-    spread = np.diag(line.errors[part] ** 2) if line.errors.ndim == 1 else line.errors[part, part]
-    if np.all(values > 0.0) and (threshold is None or threshold > 0.0):
-        return np.log(values / (threshold or 1.0)), spread / np.outer(values, values), True
-    return values - (threshold or 0.0), spread, False
+    part = slice(i, i + 2)
+    values, errors = line.y[part], line.errors[(part,) * line.errors.ndim]
+    is_log = min(*values, 1.0 if threshold is None else threshold) > 0.0
+    powers = np.frexp(values if is_log else np.full(2, np.abs([*values, threshold or 0.0]).max()))[1]
+    scaled = np.ldexp(values, -powers)
+    scale = -powers if errors.ndim == 1 else -np.add.outer(powers, powers)
+    spread = np.diag(np.ldexp(errors, scale) ** 2) if errors.ndim == 1 else np.ldexp(errors, scale)
+    if is_log:
+        return np.log(values / (threshold or 1.0)), spread / np.outer(scaled, scaled), None
+    return scaled - np.ldexp(threshold or 0.0, -powers), spread, int(powers[0])
 
 
 def _is_logarithmic(x: Array, unit: str) -> bool:

@@ -105,6 +105,15 @@ def require_quantity(dataset: xr.Dataset, variable: str) -> None:
     raise SweepError(f"no quantity {shown(variable)}{suggest(variable, names) if names else '; there are none'}")
 
 
+def numbers(dataset: xr.Dataset, name: str) -> xr.DataArray:
+    """Return a variable as floats, to compute with; raises SweepError for integers, beyond 2**53, that none is."""
+    values, floats = dataset[name].values, dataset[name].astype(float)
+    beyond = values[np.abs(floats.values) >= 2.0**53].tolist() if values.dtype.kind in "iu" else []
+    if lost := [number for number in beyond if number != float(number)]:
+        raise SweepError(f"{name} is {lost[0]}, which no float is: return it less a number that is near, or as a float")
+    return floats
+
+
 def standard_error(dataset: xr.Dataset, variable: str) -> xr.DataArray | None:
     """Return the one-sigma error of a variable from all its error variables in quadrature; None if it is exact, as what
     has none of them is, except for the largest and the least of random numbers.
@@ -117,7 +126,8 @@ def standard_error(dataset: xr.Dataset, variable: str) -> xr.DataArray | None:
         value, is_drawn = dataset[variable], {FUNCTION, "seed"} <= dataset.attrs.keys()
         return value.copy(data=np.full(value.shape, np.nan)) if is_drawn else None
     values = np.array([part.transpose(*parts[0].dims).values for part in parts])
-    total = np.sqrt(np.nansum(values**2, axis=0))
+    powers = np.frexp(np.fmax.reduce(np.abs(values)))[1]  # of two, over which no square is too large or too small
+    total = np.ldexp(np.sqrt(np.nansum(np.ldexp(values, -powers) ** 2, axis=0)), powers)
     return parts[0].copy(data=np.where(is_known(values).any(axis=0), total, np.nan))
 
 

@@ -100,13 +100,13 @@ def sensitivity(dataset: xr.Dataset, output: str | None = None, seed: int = 0) -
         raise SweepError("the study excludes points, and indices need all: take a part without gaps, --at AXIS=VALUE")
     method = _of_points(dataset, seed) if POINT in dataset[output].dims else _of_grid(dataset, seed)
     others = [str(d) for d in dataset[output].dims if d not in method.over]
-    values = dataset[output].transpose(*others, *method.over).values.astype(float)
+    values = quantity.numbers(dataset, output).transpose(*others, *method.over).values
     if not np.isfinite(values).all():
         raise SweepError(f"{output} is not a finite number at {int(np.sum(~np.isfinite(values)))} points")
     error = quantity.standard_error(dataset, output)
     errors = np.zeros(values.shape) if error is None else error.transpose(*others, *method.over).values
     places = list(np.ndindex(*values.shape[: len(others)]))
-    made = [method.estimate(values[i], errors[i]) for i in places]
+    made = [_estimated(method, values[i], errors[i]) for i in places]
     points = int(np.prod([dataset.sizes[d] for d in method.over]))
     notes = [f"sensitivity of {output} by {method.name}, from {points:,} points", *method.notes]
     if any((np.isnan(sigma) & np.isfinite(index)).any() for index, sigma, *_ in made):
@@ -116,7 +116,6 @@ def sensitivity(dataset: xr.Dataset, output: str | None = None, seed: int = 0) -
         where = f" at {unknown} of {len(made)} places" if len(made) > 1 else ""
         notes.append(f"{output} does not vary{where}, or no more than its errors: no indices")
     numbers = np.array(made).swapaxes(0, 1)  # (indices, places, parameters)
-    numbers[np.abs(numbers) < ROUNDING * np.nanmax(np.abs(numbers), initial=0.0)] = 0.0
     unit = units_of(dataset[output].attrs) if method.indices is EFFECTS else ""
     columns = {
         name: (one, unit, MEANINGS.get(name, f"one-sigma error of {name.removesuffix('_error')}"))
@@ -125,6 +124,15 @@ def sensitivity(dataset: xr.Dataset, output: str | None = None, seed: int = 0) -
     grid = quantity.grid_of(dataset, others).assign_coords(parameter=np.array(method.parameters, dtype=object))
     about = {"output": output, METHOD: method.name, "points": points}
     return derived(grid, [*others, "parameter"], columns, [n for n in columns if n in MEANINGS], notes, **about)
+
+
+@np.errstate(over="ignore")  # an effect may be no float
+def _estimated(method: _Method, values: Array, errors: Array) -> Array:
+    """Return the indices at one place, (indices, parameters), of values over a power of two with float squares."""
+    power = np.frexp(max(np.abs(values).max(), np.abs(errors[np.isfinite(errors)]).max(initial=0.0)))[1]
+    made = np.array(method.estimate(np.ldexp(values, -power), np.ldexp(errors, -power)))
+    made[np.abs(made) < ROUNDING * np.nanmax(np.abs(made), initial=0.0)] = 0.0
+    return np.ldexp(made, power if method.indices is EFFECTS else 0)
 
 
 def _of_points(dataset: xr.Dataset, seed: int) -> _Method:

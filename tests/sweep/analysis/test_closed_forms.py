@@ -214,7 +214,7 @@ def test_a_value_between_points_and_the_place_of_a_value(seed, share, shared, sa
 
     crossing = linksweep.find(dataset, f"width < {limit!r}", over="n")
     assert crossing["first"].item() == crossing["last"].item() == pytest.approx(place(y), rel=1e-9)
-    # Half as far as the line is within two of its errors of the limit, on the side where that is farther.
+    # Half as far on the axis as the line is within two of its errors of the limit, on the side where that is farther.
     z, at = to(x), to(crossing["first"].item())
     far = np.ptp(z) * np.geomspace(1e-9, 3.0, 12001)[:, None]
     reaches = []
@@ -225,10 +225,11 @@ def test_a_value_between_points_and_the_place_of_a_value(seed, share, shared, sa
         errors = np.sqrt(np.einsum("ki,ij,kj->k", weights, spread / np.outer(y, y), weights) * more)
         outside = np.flatnonzero(~(np.abs(weights @ np.log(y) - np.log(limit)) < 2.0 * errors))
         reaches.append(float(far[outside[0], 0]) if outside.size and not np.isnan(errors).any() else np.nan)
-    unit = 1.0 if magnitudes else crossing["first"].item()
-    wanted, error = np.maximum(*reaches) / 2.0 * unit, crossing["first_error"].item()
-    is_far = np.isnan(wanted) and error > 1.5 * np.ptp(z) * unit
-    assert is_far or error == pytest.approx(wanted, rel=2e-3, nan_ok=True)
+    first, error = crossing["first"].item(), crossing["first_error"].item()
+    wanted = np.maximum(back(at + reaches[0]) - first, first - back(at - reaches[1])) / 2.0
+    is_far = np.isnan(wanted) and 2.0 * error > first - back(at - 3.0 * np.ptp(z))
+    close = 2e-3 * (1.0 + np.nan_to_num(np.maximum(*reaches)))  # as far apart as places that are tried
+    assert is_far or error == pytest.approx(wanted, rel=close, nan_ok=True)
 
 
 @several
@@ -255,7 +256,8 @@ def test_a_ratio_of_two_points(seed, samples):
     _, x, y, errors, covariance = drawn(seed)
     whole = results(x, y, None, covariance, samples).assign(width_mc_error=("n", errors))
     more = 1.0 if samples is None else factor(samples)
-    for dataset, spread in ((results(x, y, errors), np.diag(errors**2)), (whole, covariance * more)):
+    far = results(x, 2.0**900 * y, 2.0**900 * errors)
+    for dataset, spread in ((far, np.diag(errors**2)), (whole, covariance * more)):
         found = linksweep.ratio(dataset, "width", "n", of=x[0], to=x[-1])
         assert found["ratio"].item() == pytest.approx(y[0] / y[-1], rel=1e-12)
         wanted = delta(lambda values: values[0] / values[-1], y, spread)

@@ -18,6 +18,8 @@ MET = ("never", "always", "from", "up to", "several times", "left out")
 CONDITIONS = {"<": np.less, "<=": np.less_equal, ">": np.greater, ">=": np.greater_equal}
 PLAIN = grid(N)
 WORDS = grid(N, words=(("model", "n"), np.full((2, 5), "a", dtype=object)))
+LARGE = PLAIN.assign(width=2**62 + PLAIN["width"].astype(int)).assign_attrs(function=1)
+OF_LARGE = [lambda: find(LARGE, "width > 9", "n"), lambda: linksweep.sensitivity(LARGE, "width")]
 NO_CONDITIONS = "", "width < ", "width = 1", "1 < width", "width < 1 no", "width < 1e999", "width < 1 < 2"
 UNDONE = grid(N, status=[[MISSING, FAILED, FAILED, DONE, DONE], [DONE] * 5])
 PART = "--range 2:7 --at kind=b --expect 0.5"
@@ -100,6 +102,8 @@ def test_truth_values_and_integers_have_crossings_and_values_between():
 @given(st.lists(st.sampled_from([1.0, 2.0, 3.0]), min_size=5, max_size=5), st.sampled_from([*CONDITIONS]))
 def test_where_a_condition_is_met(value, sign):
     result, holds = find(grid(value, 0.01), f"width {sign} 2", "n"), CONDITIONS[sign](value, 2.0)
+    far = find(grid(2.0**900 * np.array(value), 0.01 * 2.0**900), f"width {sign} {2.0**901!r}", "n")
+    assert far[["met", "first", "last_error"]].equals(result[["met", "first", "last_error"]])
     flips, there = np.count_nonzero(np.diff(holds)), holds[-1]
     some = ("from" if there else "up to") if flips == 1 else "several times"
     assert met(result) == [some if flips else "always" if there else "never"] * 2
@@ -161,7 +165,8 @@ def law_of(dataset, variable="width", over="n"):
         (lambda: fit_levelling(grid(1.0 / N), "width", "n", fall=5.0), "fall = 5: must be above 0 and below 1"),
         (lambda: fit_levelling(grid(N).isel(n=[0, 1, 2]), "width", "n"), "4 points are .* n; there are 3 at model=old"),
         (lambda: interpolate(grid(N), "width", "n", 301.0), "n = 301 is beyond the points, which go from 10 to 300"),
-        (lambda: interpolate(grid(N), "width", "n", "30"), "n = '30'"),
+        *((lambda at=at: interpolate(PLAIN, "width", "n", at), f"n = {at!r}: must be") for at in ("30", np.nan)),
+        *((call, "width is 4611686018427387914, which no float is") for call in OF_LARGE),
         *((lambda c=c: find(PLAIN, c, "n"), "condition is VARIABLE|a unit that astropy knows") for c in NO_CONDITIONS),
     ],
 )
@@ -207,12 +212,13 @@ def test_crossings_of_points_with_errors_of_any_size(noise, truth):
     """The noise, in steps of the axis, chooses the points on both sides; the truth is within two errors as often."""
     x = np.arange(5.0)
     y = x - truth + noise * np.random.default_rng(5).standard_normal((400, 5))
-    found = find(grid(y, noise, x=x), "width > 0", "n")
-    error = found["first_error"].values
-    known = np.isfinite(error)
-    assert known.mean() > 0.85  # else the line may cross nowhere
-    within = np.mean(abs(found["first"].values - truth)[known] < 2.0 * error[known])
-    assert 0.955 - 4.0 * np.sqrt(0.955 * 0.045 / 400) < within < 0.999
+    for axis, at, unit in ((x, truth, 2.0**-900), (20.0**x, 20.0**truth, 2.0**900)):  # the second is logarithmic
+        found = find(grid(unit * y, unit * noise, x=axis), "width > 0", "n")
+        error = found["first_error"].values
+        known = np.isfinite(error)
+        assert known.mean() > 0.85  # else the line may cross nowhere
+        within = np.mean(abs(found["first"].values - at)[known] < 2.0 * error[known])
+        assert 0.955 - 4.0 * np.sqrt(0.955 * 0.045 / 400) < within < 0.999
 
 
 @pytest.mark.parametrize("mirrored", [False, True])

@@ -76,6 +76,7 @@ def test_a_grid_of_the_ishigami_function(n, tmp_path):
         assert agrees(part, name, truth, most=2.0)
         assert float(part[f"{name}_error"].max()) < 0.5 / n
     assert abs(found["first"].values[2]) < 1e-12
+    assert found.equals(sensitivity(ds.assign(ishigami=ds["ishigami"].copy(data=2.0**600 * ds["ishigami"]))))
     coarse = sensitivity(ds.isel({name: slice(0, 6) for name in BOX}))
     assert "with fewer than 8 values" in coarse.attrs["notes"]
 
@@ -92,7 +93,10 @@ def test_indices_of_designs_of_both_functions(design, tmp_path):
         notes = found.attrs["notes"]
         assert ("total indices need a full grid or a saltelli design" in notes) != has_total
         assert "Monte-Carlo" not in notes  # the functions draw no random numbers
-        assert found.equals(sensitivity(linksweep.open(store)))  # the same errors every time
+        for power in (0, -600, 600):  # the same errors every time, in any unit
+            again = linksweep.open(store)
+            again[function.__name__] *= 2.0**power
+            assert found.equals(sensitivity(again))
         low, high = linksweep.plot(found).axes[0].get_xlim()
         assert low < float((found["first"] - found.first_error).min()) < float(found["first"].max()) < high
     assert found.parameter.values[np.argmax(found["first"].values)] == "rw"
@@ -105,7 +109,8 @@ def test_morris_effects_of_a_linear_function_are_its_slopes(tmp_path):
 
     points = {"design": "morris", "n": 6, "ranges": {"a": [0, 1], "b": [0, 10], "c": [1, 2]}}
     ds = run(plane, tmp_path / "s.zarr", points=points)
-    assert sensitivity(ds, "product").equals(sensitivity(ds, "product"))  # the same errors every time
+    again = ds.assign(product=ds["product"].copy(data=2.0**600 * ds["product"]))  # the same errors every time
+    assert (2.0**600 * sensitivity(ds, "product")).equals(sensitivity(again, "product"))
     found = sensitivity(ds, "z")
     effects = np.array([[3.0, 20.0, 0.0], [3.0, -20.0, 0.0], [0.0, 0.0, 0.0]])
     assert found[["mu_star", "mu", "sigma"]].to_array().values == pytest.approx(effects, abs=1e-9)
