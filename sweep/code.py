@@ -448,18 +448,17 @@ class Reach:
         if function is None and self._is_running:  # runs while it is imported, before any root is called
             return ""
         before = {one for node in nodes for one in _nodes_at_import(node)} if function else set()
-        self._called |= {
-            one.attr for node in nodes for one in ast.walk(node) if isinstance(one, ast.Attribute) and one not in before
-        }
+        ran = {one for node in nodes for one in ast.walk(node)} - before
+        self._called |= {one.attr for one in ran if isinstance(one, ast.Attribute)}
         bound = self._imported(nodes, names)
         texts = [*map(unparsed, nodes)]
         code = function.__code__ if function else compile("\n".join(texts), "", "exec", ast.PyCF_ALLOW_TOP_LEVEL_AWAIT)
         scope, wanted, text = ChainMap(bound, dict(names)), {*bound, *_names_in(code)}, "".join(texts)
         # what code changes of a default is left out of it, so what names in its expression stand for counts
-        defaults = chain.from_iterable(
-            one.defaults + one.kw_defaults for one in before if isinstance(one, ast.arguments)
-        )
-        wanted |= {one.id for default in defaults if default for one in ast.walk(default) if isinstance(one, ast.Name)}
+        defaults = [
+            part for one in before if isinstance(one, ast.arguments) for part in one.defaults + one.kw_defaults if part
+        ]
+        wanted |= {one.id for default in defaults for one in ast.walk(default) if isinstance(one, ast.Name)}
         mangled = {name[name.index("__", 1) :]: name for name in wanted if re.match("_[^_].*__", name)}
         for whole in sorted({one for node in nodes for one in _chains(node)}):
             name, *path = whole.split(".")
