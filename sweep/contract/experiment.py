@@ -505,6 +505,8 @@ def names_problems(
         others = [other for other, one in first if one == name]
         if wrong := name_problem(name):
             yield f"{kind} {shown(name)}: {wrong}"
+        elif kind != "parameter" and name == "point":  # the dimension of tables of points
+            yield f"{kind} {name!r}: {TAKEN}"
         elif name in added:
             yield f"{kind} {name!r}: this name is for {added[name]}; take another"
         elif others and not (name in may_repeat and (others[0], kind) == ("parameter", "output")):

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.sweep.contract import NotFiniteError, Outcome, Output, ResultError, not_finite, shown, suggest
-from linksweep.sweep.contract.experiment import is_quantity, names_problems, same_unit
+from linksweep.sweep.contract.experiment import names_problems, same_unit
 from linksweep.sweep.contract.rows import LENGTH, REFERENCE, beyond_floats, chunk_grid, is_large, padded
 
 Type = Literal["float", "int", "bool", "text", "datetime"]
@@ -58,10 +58,13 @@ class Field:
 
 @dataclass(frozen=True)
 class Layout:
-    """All results of a point, in their order, with the coordinates of their dimensions."""
+    """All results of a point, or of a realisation if they are ``drawn``, in their order, with the coordinates of their
+    dimensions.
+    """
 
     fields: tuple[Field, ...]
     coordinates: tuple[Coordinate, ...] = ()
+    drawn: bool = False
 
     @cached_property
     def sizes(self) -> dict[str, int]:
@@ -82,7 +85,8 @@ class Layout:
     @cached_property
     def large(self) -> dict[str, np.dtype[Any]]:
         """The types of results that are large arrays of numbers, as long at every point: rows refer to their chunks."""
-        some = (field for field in self.fields if field.type in NUMBERS and field.name not in self.ragged)
+        whole = () if self.drawn else self.fields  # moments of realisations are in rows
+        some = (field for field in whole if field.type in NUMBERS and field.name not in self.ragged)
         return {field.name: np.dtype(DTYPES[field.type]) for field in some if is_large(self.shape(field))}
 
     @cached_property
@@ -213,8 +217,9 @@ class Value(NamedTuple):
     ragged: str = ""
 
 
-def coordinate_of(dim: str, values: Any, unit: str = "") -> Coordinate:
+def coordinate_of(dim: str, values: Any) -> Coordinate:
     """Return a coordinate from values, or from (values, unit); raises ResultError where they cannot be one."""
+    unit = ""
     # (values, unit) and not two values: the second one is a text, and the first has several
     if isinstance(values, tuple) and len(values) == 2 and isinstance(values[1], str) and np.ndim(values[0]) == 1:
         values, unit = values
@@ -224,6 +229,8 @@ def coordinate_of(dim: str, values: Any, unit: str = "") -> Coordinate:
             raise ResultError(f"has the shape {value.array.shape}, expected one dimension")
         if value.type in ("float", "datetime") and not np.isfinite(value.array).all():
             raise ResultError("has values that are not finite")
+        if unit and value.unit and not same_unit(unit, value.unit):
+            raise ResultError(f"is in {value.unit}, expected {unit}")
     except ResultError as error:
         raise ResultError(f"has a coordinate {dim!r} that {error}") from error
     is_time = value.type == "datetime"
@@ -234,7 +241,13 @@ def coordinate_of(dim: str, values: Any, unit: str = "") -> Coordinate:
 def is_xarray(value: object) -> bool:
     """Return whether a value is an xarray object, without importing xarray."""
     xarray = sys.modules.get("xarray")  # while another thread imports it, it has no classes yet, and nobody has a value
-    return isinstance(value, tuple(getattr(xarray, name, ()) for name in ("DataArray", "Dataset")))
+    return isinstance(value, tuple(getattr(xarray, name, ()) for name in ("DataArray", "Dataset", "Variable")))
+
+
+def unit_of(value: Any) -> str:
+    """Return the unit that a value carries as xarray, quantities and columns of astropy do, '' for none."""
+    unit = value.attrs.get("units", "") if is_xarray(value) else getattr(value, "unit", "")
+    return str(unit) if is_xarray(value) or hasattr(unit, "is_equivalent") else ""  # times of pandas have texts
 
 
 IN_UTC = (
@@ -248,31 +261,34 @@ def value_of(value: Any) -> Value:
         value = value.to_xarray()
     if isinstance(value, Mapping):  # a Dataset of xarray too
         raise ResultError(f"is a {type(value).__name__}; results are not nested: return its entries by their names")
+    dims, coordinates, unit, meaning = None, tuple[Coordinate, ...](), unit_of(value), ""
+    if "since" in unit:  # a word by which readers of CF take any numbers for dates, or refuse the whole file
+        raise ResultError(f"has the unit {shown(unit)}: return times, or numbers with a unit such as 'd'")
     if is_xarray(value):
         dims = tuple(map(str, value.dims))
         if len(set(dims)) < len(dims):
             raise ResultError(f"has the dimensions ({', '.join(dims)}), one of them twice")
-        along = [(dim, value.coords[dim]) for dim in dims if dim in value.coords]
+        known = getattr(value, "coords", {})
+        along = [(dim, known[dim]) for dim in dims if dim in known]
         for dim, one in along:  # whose values would be those in UTC, without a word
             if (zone := getattr(one.to_index(), "tz", None)) is not None:
                 raise ResultError(f"has a coordinate {dim!r} of times with the zone {zone}; {IN_UTC}")
-        coordinates = tuple(coordinate_of(dim, one.values, str(one.attrs.get("units", ""))) for dim, one in along)
-        unit, meaning = (str(value.attrs.get(key, "")) for key in ("units", "long_name"))
-        return Value(*_typed(value.values), dims, coordinates, unit, meaning)
-    if isinstance(value, np.ma.MaskedArray) or hasattr(value, "unmasked"):  # of NumPy or astropy; never read as numbers
+        coordinates = tuple(coordinate_of(dim, one.variable) for dim, one in along)
+        meaning, value = str(value.attrs.get("long_name", "")), value.values
+    elif isinstance(value, np.ma.MaskedArray) or hasattr(
+        value, "unmasked"
+    ):  # of NumPy or astropy; never read as numbers
         if n := int(np.sum(value.mask)):
             raise ResultError(f"has {n} masked values; fill them, with NaN where the output declares nan=True")
         value = value.unmasked if hasattr(value, "unmasked") else value.data
-    unit = ""
-    if is_quantity(value):
-        unit, value = str(value.unit), value.value
-    return Value(*_typed(value), unit=unit)
+    return Value(*_typed(value), dims, coordinates, unit, meaning)
 
 
 def _typed(value: Any) -> tuple[Type, NDArray[Any]]:
     """Return the type of a value that is no xarray object, and its array; raises ResultError as `value_of`."""
     if isinstance(value, list | tuple):
-        if any(map(is_quantity, set(map(type, value)))):
+        kinds = {kind for kind in set(map(type, value)) if hasattr(kind, "unit") or hasattr(kind, "attrs")}
+        if kinds and any(unit_of(one) for one in value if type(one) in kinds):
             raise ResultError("is a list of quantities; make one of them: astropy.units.Quantity(...)")
         try:
             array = np.asarray(value)
@@ -286,11 +302,11 @@ def _typed(value: Any) -> tuple[Type, NDArray[Any]]:
         if not is_array:
             array[()] = value
     kind = array.dtype.kind
-    if kind in "OU" and array.size == 0:  # of an empty list: the type that becomes that of other numbers
+    if kind in "OUT" and array.size == 0:  # of an empty list: the type that becomes that of other numbers
         return ("int", array.astype("i8")) if kind == "O" else ("text", array.astype(object))
     if kind == "b":
         return "bool", array
-    if kind in "OU" or (kind == "u" and array.max(initial=0) >= 2**63):
+    if kind in "OUT" or (kind == "u" and array.max(initial=0) >= 2**63):
         return _of_objects(array.astype(object))
     if kind in "iu":
         return "int", array.astype("i8")
@@ -363,13 +379,14 @@ def _times(array: NDArray[Any]) -> NDArray[Any]:
 @dataclass(frozen=True)
 class Declared:
     """What results are checked against: the ``outputs`` that a function declares, the names of its ``parameters``, and
-    the name of a ``single`` result.
+    the name of a ``single`` result; and whether they are ``drawn``.
     """
 
     function: str
     single: str
     outputs: tuple[Output, ...] = ()
     parameters: tuple[str, ...] = ()
+    drawn: bool = False
 
     @cached_property
     def by_name(self) -> dict[str, Output]:
@@ -391,18 +408,18 @@ class Declared:
         """Return the error that has these problems of a result."""
         return ResultError(f"{self.function}: {'; '.join(problems)}")
 
-    def named(self, result: Any) -> dict[str, Any]:
-        """Return the outputs by name that the function has returned."""
+    def named(self, result: Any, point: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the outputs by name that the function has returned at a point."""
         if result is None:
             raise ResultError(f"{self.function} returns nothing (None); it must return its results")
         if hasattr(result, "to_xarray") and not isinstance(result, type):  # of pandas
             result = result.to_xarray()
         named: dict[Any, Any]
         if is_xarray(result):
-            named = dict(result.data_vars) if hasattr(result, "data_vars") else {result.name or self.single: result}
-            # Coordinates that are no dimensions are results too, unless they repeat a parameter.
-            beside = [name for name in result.coords if name not in result.dims and name not in self.parameters]
-            named |= {str(name): result.coords[name].reset_coords(drop=True) for name in beside}
+            coords = getattr(result, "coords", None)  # a bare Variable has none, and no name
+            name = self.single if coords is None else getattr(result, "name", None) or self.single
+            named = dict(result.data_vars) if hasattr(result, "data_vars") else {name: result}
+            named |= self._beside(result, coords or {}, point)
         elif isinstance(result, Mapping):
             named = dict(result)
         elif is_dataclass(result) and not isinstance(result, type):
@@ -422,6 +439,15 @@ class Declared:
             raise ResultError(f"{self.function}: the name {shown(strange[0])} of an output is no text")
         return named
 
+    def _beside(self, result: Any, coords: Mapping[Any, Any], point: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the coordinates that are no dimensions, which are results too, unless they repeat a parameter."""
+        beside = {str(name): one.reset_coords(drop=True) for name, one in coords.items() if name not in result.dims}
+        for name in sorted(beside.keys() & self.parameters):
+            if name not in point or not same_value(beside.pop(name).values, point[name]):
+                other = "has the name of a parameter, and is not its value; rename it, or .drop_vars() it"
+                raise ResultError(f"{self.function}: the coordinate {name!r} {other}")
+        return beside
+
 
 SCALARS = frozenset({float, np.float64, int, np.int64, bool, np.bool_, str})
 """Types of results whose layout depends on nothing else."""
@@ -434,7 +460,7 @@ def _is_plain(scalar: Any) -> bool:
     return scalar.isascii() if isinstance(scalar, str) else not isinstance(scalar, float) or math.isfinite(scalar)
 
 
-def flatten(result: Any, declared: Declared) -> Outcome:
+def flatten(result: Any, declared: Declared, point: Mapping[str, Any]) -> Outcome:
     """Return the result of one point as the fields of a row, with their layout.
 
     Raises ResultError that names every output that is invalid or not as declared, and NotFiniteError.
@@ -444,7 +470,7 @@ def flatten(result: Any, declared: Declared) -> Outcome:
     # Names and types of scalars that have occurred take two microseconds, the way below sixty: points are millions.
     if (layout := declared.layouts.get(key)) is not None and all(map(_is_plain, scalars.values())):
         return Outcome(tuple(scalars.values()), None, layout)
-    row, layout = _read(result, declared)
+    row, layout = _read(result, declared, point)
     if SCALARS.issuperset(kind for _, kind in key):
         declared.layouts[key] = layout
     return Outcome(tuple(array[()] for array in row), None, layout)
@@ -467,17 +493,17 @@ def split_points(result: Any, n: int, declared: Declared, noun: str) -> list[Out
             raise ResultError(f"has {len(array)} values, {each}")
         return value._replace(array=array)
 
-    columns, layout = _read(result, declared, column)
+    columns, layout = _read(result, declared, {}, column)
     # scalars as those of Python, whose pickles are small
     elements = [c.tolist() if c.ndim == 1 and c.dtype.kind != "M" else list(c) for c in columns]
     return [Outcome(row, None, layout) for row in zip(*elements, strict=True)]
 
 
 def _read(
-    result: Any, declared: Declared, column: Callable[[Value], Value] | None = None
+    result: Any, declared: Declared, point: Mapping[str, Any], column: Callable[[Value], Value] | None = None
 ) -> tuple[list[NDArray[Any]], Layout]:
     """Return the arrays of a result, and its layout; with ``column``, which checks them, that of their elements."""
-    named = declared.named(result)
+    named = declared.named(result, point)
     problems = [
         f"does not return the output {name!r}{suggest(name, [n for n in named if n not in declared.by_name])}"
         for name in declared.by_name
@@ -501,7 +527,7 @@ def _read(
         raise declared.refused(problems)
     fields = tuple(Field(name, one.type, one.dims or (), one.unit, one.meaning) for name, one in values.items())
     used = dict.fromkeys(dim for field in fields for dim in field.dims)
-    layout = Layout(fields, tuple(coordinates[dim] for dim in used))
+    layout = Layout(fields, tuple(coordinates[dim] for dim in used), declared.drawn)
     if wrong := problems_of_names(layout, declared.parameters):
         raise declared.refused(wrong)
     arrays = arrays or [value.array for value in values.values()]
@@ -540,10 +566,12 @@ def _coordinates(values: Mapping[str, Value], declared: Declared) -> tuple[dict[
     for name, value in values.items():
         for one in value.coordinates:
             before = known.setdefault(one.name, one)
+            known[one.name] = replace(before, unit=before.unit or one.unit)
             if (before.type, before.values) != (one.type, one.values):
-                problems[f"{name!r} has other values along {one.name!r} than are declared or than another output"] = (
-                    None
-                )
+                wrong = f"{name!r} has other values along {one.name!r} than are declared or than another output"
+                problems[wrong] = None
+            elif before.unit and one.unit and not same_unit(before.unit, one.unit):
+                problems[f"{name!r} has a coordinate {one.name!r} in {one.unit}, expected {before.unit}"] = None
     for name, value in values.items():
         for dim, size in zip(value.dims or (), value.array.shape, strict=True):
             expected = len(known.setdefault(dim, Coordinate(dim, "int", tuple(range(size)))).values)

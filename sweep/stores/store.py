@@ -603,12 +603,14 @@ def decode(root: Mapping[str, Any], location: Location) -> "xr.Dataset":
         with warnings.catch_warnings():
             # Zarr-python#3709: consolidated metadata is not in the v3 specification yet.
             warnings.filterwarnings("ignore", message="Consolidated metadata")
-            opened = xr.open_zarr(MemoryStore(files, read_only=True), chunks=None, consolidated=True)
+            # Without durations: older xarray makes some of numbers in "days", "hours" and the like.
+            whole = MemoryStore(files, read_only=True)
+            opened = xr.open_zarr(whole, chunks=None, consolidated=True, decode_timedelta=False)
             dataset: xr.Dataset = opened.drop_vars(lazy).load().assign({name: opened[name] for name in lazy})
             gaps = [n for n, d in arrays_of(root).items() if d["data_type"] == "int64" and dataset[n].dtype.kind == "f"]
             if any((np.abs(dataset[name].values) >= EXACT_INT).any() for name in gaps):
                 # Xarray has rounded them.
-                stored = xr.open_zarr(MemoryStore(files, read_only=True), chunks=None, mask_and_scale=False)
+                stored = xr.open_zarr(whole, chunks=None, mask_and_scale=False)
                 dataset = dataset.assign(
                     {n: dataset[n].variable.copy(data=with_gaps(stored[n].values, stored[n].attrs[FILL])) for n in gaps}
                 )
