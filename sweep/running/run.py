@@ -524,8 +524,10 @@ class Writer:
         """Raise SweepError, with what is known already, if files of the store have gone since they were written; the
         results so far are then written beside it.
         """
-        place = self.store.location
-        if not (lost := self.store.lost()):
+        place, lost = self.store.location, list[str]()
+        with suppress(SweepError) if problems else nullcontext():  # else that this cannot be told would hide them
+            lost = self.store.lost()
+        if not lost:
             return
         if self._rescued is None:
             left = replace(assemble(self.plan, self.accumulator, place), attrs=self._attributes())

@@ -21,7 +21,6 @@ from datetime import UTC, datetime, timedelta
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
-from urllib.parse import urlsplit
 from uuid import uuid4
 
 from linksweep.sweep.contract import SweepError
@@ -43,6 +42,11 @@ AT_ONCE = 16
 
 TIMEOUT = timedelta(seconds=15)
 """How long a request to a bucket is tried again after dropped connections and errors of the server."""
+
+DOWN: dict[frozenset[tuple[str, str]], tuple[float, str]] = {}
+"""Settings with which a request was tried again for so long, until when no other is tried, and why: a run that stops
+does not wait for each of its last requests.
+"""
 
 ADDRESS = re.compile(r"s3:/{1,2}(?P<bucket>[a-z0-9][a-z0-9.-]{1,61}[a-z0-9])/+(?P<prefix>[^/].*?)/*")
 
@@ -300,8 +304,15 @@ class Bucket:
     def objects(self) -> "S3Store":
         """The bucket under the prefix, as a store of obstore; Zarr's ObjectStore takes it too."""
         from obstore.store import S3Store
+        from pydantic import HttpUrl, TypeAdapter
 
-        is_here = urlsplit(_endpoint()).hostname in ("localhost", "127.0.0.1", "::1")
+        for name in [name for name, value in os.environ.items() if name.startswith("AWS_") and not value]:
+            del os.environ[name]  # obstore takes an empty one for an address
+        try:  # obstore panics
+            host = TypeAdapter(HttpUrl).validate_python(_endpoint() or "https://amazonaws.com").host
+        except ValueError as error:
+            raise OSError(f"AWS_ENDPOINT_URL is {_endpoint()!r}, not an address as http://HOST:PORT") from error
+        is_here = host in ("localhost", "127.0.0.1", "[::1]")
         return S3Store(
             self.bucket,
             prefix=self.prefix or None,
@@ -364,16 +375,16 @@ class Bucket:
 
     def delete(self, key: str) -> None:
         """Remove an object if there is one."""
-        until = time.monotonic() + TIMEOUT.total_seconds()
+        begun = time.monotonic()
         while True:
             # S3 deletes by a POST, which obstore does not repeat after a broken connection, since it cannot know that
             # this one may be repeated.
             try:
-                with suppress(FileNotFoundError), self._request():
+                with suppress(FileNotFoundError), self._request(begun):
                     self.objects.delete(key)
                 return
             except OSError:
-                if time.monotonic() > until:
+                if _given_up():
                     raise
                 time.sleep(0.2)
 
@@ -410,10 +421,15 @@ class Bucket:
         return nullcontext()
 
     @contextmanager
-    def _request(self) -> Iterator[None]:
-        """Turn the errors of a request into those that a file would raise, with one sentence."""
+    def _request(self, begun: float = 0.0) -> Iterator[None]:
+        """Turn the errors of a request, tried for the first time when it was ``begun``, into those that a file would
+        raise, with one sentence.
+        """
         from obstore import exceptions
 
+        begun = begun or time.monotonic()
+        if why := _given_up():
+            raise OSError(why)
         try:
             yield
         except (exceptions.AlreadyExistsError, exceptions.PreconditionError) as error:
@@ -424,14 +440,17 @@ class Bucket:
             if isinstance(error, FileNotFoundError):
                 raise
             is_refused = isinstance(error, exceptions.PermissionDeniedError | exceptions.UnauthenticatedError)
-            raise OSError(_explained(str(error), is_refused)) from error
+            why, ended = _explained(str(error), is_refused), time.monotonic()
+            if ended - begun > TIMEOUT.total_seconds() * 0.8:
+                DOWN[_settings()] = ended + TIMEOUT.total_seconds(), why
+            raise OSError(why) from error
 
 
 def _explained(text: str, is_refused: bool) -> str:
     endpoint = _endpoint() or "AWS"
     if is_refused:
         return f"{endpoint} refuses these credentials (AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY)"
-    if "169.254.169.254" in text or "/latest/api/token" in text:
+    if re.search(r"169\.254\.169\.254|/latest/api/token|Missing (SecretAccessKey|AccessKeyId)", text):
         # Where a machine of AWS would find them.
         return "there are no credentials; set AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY"
     if "BadScheme" in text:
@@ -440,8 +459,18 @@ def _explained(text: str, is_refused: bool) -> str:
     return f"{endpoint} does not answer as it should: {reason[:300]}"
 
 
+def _given_up() -> str:
+    until, why = DOWN.get(_settings(), (0.0, ""))
+    return why if time.monotonic() < until else ""
+
+
+def _settings() -> frozenset[tuple[str, str]]:
+    return frozenset((name, value) for name, value in os.environ.items() if name.startswith("AWS_") and value)
+
+
 def _endpoint() -> str:
-    return os.environ.get("AWS_ENDPOINT_URL_S3") or os.environ.get("AWS_ENDPOINT_URL") or ""
+    names = ("AWS_ENDPOINT_URL_S3", "AWS_ENDPOINT_URL", "AWS_ENDPOINT")
+    return next(filter(None, map(os.environ.get, names)), "")
 
 
 Location = Folder | Bucket
@@ -462,7 +491,7 @@ def located(where: Where) -> Location:
         # `Path` makes one slash of two.
         match = ADDRESS.fullmatch(address)
         if match is None or any(part in ("", ".", "..") for part in match["prefix"].split("/")):
-            rule = "with a bucket of 3 to 63 small letters, digits, dots and dashes"
+            rule = "with a bucket of 3 to 63 small letters, digits, dots and dashes, and no //, /./, /../ or line break"
             raise SweepError(f"cannot be a store: its address must be s3://BUCKET/NAME, {rule}", address)
         try:
             import obstore  # noqa: F401 (only to see whether it is there)
@@ -470,8 +499,8 @@ def located(where: Where) -> Location:
             missing = f"stores in a bucket need obstore: pip install 'linksweep[s3]' ({error})"
             raise SweepError(missing, address) from error
         return Bucket(match["bucket"], match["prefix"])
-    scheme, separator, _ = address.partition("://")
-    if separator:
+    scheme, separator, _ = address.partition(":/")
+    if separator and "/" not in scheme:
         raise SweepError(f"cannot be a store: {scheme}:// is not known; a store is a path or s3://BUCKET/NAME", address)
     return Folder(Path(where))
 
@@ -486,8 +515,8 @@ def reading(location: Location, failed: str = "cannot be read", more: str = "") 
 
 
 def writing(location: Location) -> AbstractContextManager[None]:
-    """Turn an OSError into a SweepError that says that the store cannot be written, and what is lost: nothing."""
-    return reading(location, "cannot be written", "; what was finished before is kept")
+    """Turn an OSError into a SweepError that says that the store cannot be written, and that nothing is lost."""
+    return reading(location, "cannot be written", "; what was finished before is kept, and the same command goes on")
 
 
 def default_store(name: str) -> Path:
@@ -556,7 +585,7 @@ def locked(where: Where, *, break_lock: bool = False) -> Iterator[None]:
     since = datetime.now(UTC).isoformat(timespec="seconds")
     mine = Holder(*_this_host(), os.getpid(), _start_of(os.getpid()), since, uuid4().hex)
     with location.parent.tidied():
-        with writing(location):
+        with reading(location, "cannot be written"):
             _take(location, mine, break_lock)
         try:
             yield

@@ -250,7 +250,7 @@ class Store(OpenStore):
         if not same or arrays_of(self.root).keys() != dataset.variables.keys():
             return False
         report = Report({}, {}, {})
-        with reading(self.location):
+        with self._writing():
             return not _check_results(self.location, self.root, report) and not report
 
     def lost(self) -> list[str]:

@@ -83,11 +83,12 @@ def test_a_file_and_its_folder_are_on_the_disk_or_the_old_one_is(tmp_path, monke
 
 
 def test_an_address_that_is_none_or_needs_a_package_is_refused(monkeypatch):
-    for rest in ("", "abc", "abc/", "a/x", "ABC/x", "abc/a//b", "abc/../b", "/abc/x"):
-        with pytest.raises(SweepError, match="s3://BUCKET/NAME"):
+    for rest in ("", "abc", "abc/", "a/x", "ABC/x", "abc/a//b", "abc/../b", "abc/a\nb", "/abc/x"):
+        with pytest.raises(SweepError, match=r"s3://BUCKET/NAME, .* and no //, /\./, /\.\./ or line break"):
             located(f"s3://{rest}")
-    with pytest.raises(SweepError, match="gs:// is not known; a store is a path or s3://BUCKET/NAME"):
-        located("gs://abc/x")
+    for address in ("gs://abc/x", "gs:/x"):
+        with pytest.raises(SweepError, match="gs:// is not known; a store is a path or s3://BUCKET/NAME"):
+            located(address)
     monkeypatch.setitem(sys.modules, "obstore", None)
     with pytest.raises(SweepError, match=r"pip install 'linksweep\[s3\]'"):
         located("s3://abc/x")

@@ -215,7 +215,7 @@ def test_a_full_disk_keeps_what_was_finished(disk, tmp_path, coins, monkeypatch)
             (disk / "more").write_bytes(bytes(shutil.disk_usage(disk).free))
         put(folder, key, content)
 
-    full = "cannot be written: No space left on device; what was finished before is kept"
+    full = "cannot be written: No space left on device; what was finished before is kept, and the same command goes on"
     with monkeypatch.context() as patch:
         patch.setattr(Folder, "put", fill)
         with pytest.raises(SweepError, match=full):
