@@ -347,6 +347,8 @@ def check_output(path: Path) -> None:
     try:
         if path.is_dir():
             raise SweepError("is a directory; give the name of a file with -o", str(path))
+        if path.suffix.lower() not in (".html", ".htm"):
+            raise SweepError("cannot be a report: its name must end with .html or .htm", str(path))
         if path.exists() and not path.read_bytes().startswith(MARK.encode()):
             raise SweepError("exists and is no report of linksweep; give another name with -o", str(path))
         if not path.parent.is_dir():

@@ -89,12 +89,15 @@ def study_to_look_at(store: Where) -> Study:
 
     Raises SweepError for another experiment, and where the study names functions in files.
     """
+    attributes = OpenStore(store).attributes
+    if attributes["experiment"] != DEFAULT_EXPERIMENT:
+        raise SweepError("no sky and no accuracy here: only studies of the link have these figures", str(store))
 
     def check(reference: str) -> None:
         if reference != DEFAULT_EXPERIMENT:
-            raise SweepError(f"only stores of the link alone can be drawn so; this one names {shown(reference)}")
+            raise SweepError(f"names {shown(reference)}, which is not run to draw the sky or accuracies")
 
-    return study_of_attributes(OpenStore(store).attributes, str(store), Code(check))
+    return study_of_attributes(attributes, str(store), Code(check))
 
 
 @dataclass(frozen=True)

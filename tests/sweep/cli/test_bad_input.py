@@ -251,7 +251,7 @@ COMMANDS = [
     ("plot STORE --kind map", "no map of share here; possible are lines, law"),
     ("plot STORE --over length", "length is not one axis to draw along; there are"),
     ("plot STORE -o coins.bmp", "coins.bmp: cannot draw there: the name must end with .png, .svg, .pdf"),
-    ("plot STORE --kind sky", "only stores of the link alone can be drawn so"),
+    ("plot STORE --kind sky", "no sky and no accuracy here: only studies of the link"),
     ("plot STORE --kind sky --over coins", "do not go with --kind sky"),
     ("plot STORE --width 2mm", "must be from 40mm to 1000mm, like 88mm or 180mm"),
     ("plot", "name the store to draw"),
@@ -262,7 +262,7 @@ COMMANDS = [
     ("report STORE --all", "name stores, or give --all"),
     ("report STORE --workers 2", "go with --all"),
     ("report STORE -o no/such/page.html", "its directory does not exist"),
-    ("report STORE -o study.toml", "no report of linksweep"),
+    ("report STORE -o study.toml", "must end with .html or .htm"),
     ("report STORE -o .", "is a directory"),
     ("report gs://b/s.zarr", "gs:// is not known"),
     # typical mistakes, with what solves them
