@@ -586,6 +586,8 @@ def locked(where: Where, *, break_lock: bool = False) -> Iterator[None]:
     mine = Holder(*_this_host(), os.getpid(), _start_of(os.getpid()), since, uuid4().hex)
     with location.parent.tidied():
         with reading(location, "cannot be written"):
+            if obstacle := location.obstacle():
+                raise SweepError(obstacle, str(location))
             _take(location, mine, break_lock)
         try:
             yield
