@@ -2,7 +2,7 @@
 done to the rows, and the unknowns; of a Parquet table of millions of quasars one row group at a time.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
 from itertools import permutations, product
@@ -52,6 +52,9 @@ FAR_DEG, FARTHEST_DEG = 10.0 / 3600.0, 1.0
 
 # Frames of astropy that positions may be in by mistake.
 OTHER_FRAMES = {"fk4": "of the equinox B1950", "galactic": "galactic", "barycentricmeanecliptic": "ecliptic"}
+
+# So near are positions once they are in the right frame.
+NEARBY = DEGREE / 60.0
 
 # Rows of a source within two days may be the same measurement.
 SAME_EPOCH_YR = 0.005
@@ -373,11 +376,12 @@ def match(satellite: AstrometricTable, reference: AstrometricTable, by: str | No
         matched = _by_name(satellite, reference, (a, b), strict=by_column or a.casefold() in SOURCE_NAMES)
         if len(matched.rows):
             return matched
-    if by is None:
-        return replace(_by_position(satellite, reference, ""), releases=releases)
     said = [", ".join(f"{name} like {str(one[0])!r}" for name, one in t.names.items()) for t in (satellite, reference)]
     there = f"{satellite.path} has {said[0] or 'none'}, {reference.path} {said[1] or 'none'}"
-    raise SweepError(f"match by {by!r}: no name is in both tables; columns of names: {there}")
+    problem = f"no name is in both tables; columns of names: {there}"
+    if by is None:
+        return replace(_by_position(satellite, reference, "", f"; {problem}" * bool(pairs)), releases=releases)
+    raise SweepError(f"match by {by!r}: {problem}")
 
 
 def _by_name(satellite: AstrometricTable, reference: AstrometricTable, pair: tuple[str, str], strict: bool) -> Match:
@@ -394,8 +398,10 @@ def _by_name(satellite: AstrometricTable, reference: AstrometricTable, pair: tup
     return Match(place, column if column == other else f"{column} = {other}", np.full(len(place), -1))
 
 
-def _by_position(satellite: AstrometricTable, reference: AstrometricTable, radius_text: str) -> Match:
-    """Match each row to the nearest source, carried to the row's epoch with its proper motion."""
+def _by_position(satellite: AstrometricTable, reference: AstrometricTable, radius_text: str, hint: str = "") -> Match:
+    """Match each row to the nearest source, carried to the row's epoch with its proper motion; raises SweepError, with
+    a ``hint``, if there is none.
+    """
     try:
         radius = float(radius_text) if radius_text else DEFAULT_RADIUS_ARCSEC
     except ValueError:
@@ -414,7 +420,13 @@ def _by_position(satellite: AstrometricTable, reference: AstrometricTable, radiu
         distance, nearest = map(np.asarray, tree.query(triad(*rows.values[:2, at]).r.T, k=2))
         place[at], second[at] = np.where(distance <= chord, nearest, -1).T
     if np.all(place < 0):
-        raise SweepError(f"no row of the reference is within {radius:g} arcsec of a source", reference.path)
+        both = [(table.path, triad(*table.astrometry.values[:2]).r) for table in (satellite, reference)]
+        for (path, one), (_, other) in permutations(both):
+            tree, enough = cKDTree(other.T), 0.25 * min(len(sources), len(rows))
+            for words, turned in _otherwise(one):
+                if np.count_nonzero(tree.query(turned.T)[0] < NEARBY) > enough:
+                    hint = f"; are the positions of {Path(path).name} {words}?"
+        raise SweepError(f"no row of the reference is within {radius:g} arcsec of a source{hint}", reference.path)
     return Match(place, f"position within {radius:g} arcsec", second)
 
 
@@ -444,20 +456,30 @@ def far_rows(satellite: AstrometricTable, table: AstrometricTable, matched: Matc
     far = np.flatnonzero(apart > (FARTHEST_DEG if refused else FAR_DEG))
     if not len(far):
         return []
-    from astropy.coordinates import SkyCoord
-
     size = f"{apart[far].max():.3g} deg" if refused else f"{apart[far].max() * 3600.0:.3g} arcsec"
     whose = "their source" if matched.by.startswith("position") else "the source of the same name"
     note = f"{named_rows(matched.rows[far])} of {Path(table.path).name}: up to {size} from {whose}"
-    nearby = min(DEGREE / 60.0, 0.1 * np.median(between[far]))  # near the poles of such a turn all rows are
-    for ((path, one), (_, other)), (frame, words) in product(permutations(both), OTHER_FRAMES.items()):
-        turned = SkyCoord(*position(one[:, far]), unit="rad", frame=frame).icrs.cartesian.xyz.value
-        if np.median(np.linalg.norm(turned - other[:, far], axis=0)) < nearby:
-            raise SweepError(f"{note}; are the positions of {Path(path).name} {words}?")
+    nearby = min(NEARBY, 0.1 * np.median(between[far]))  # near the poles of such a turn all rows are
+    for (path, one), (_, other) in permutations(both):
+        for words, turned in _otherwise(one[:, far]):
+            if np.median(np.linalg.norm(turned - other[:, far], axis=0)) < nearby:
+                raise SweepError(f"{note}; are the positions of {Path(path).name} {words}?")
     elsewhere = _elsewhere(satellite, table, matched, far)
     if refused:
         raise SweepError(f"{note}; {elsewhere or 'are the names right, the epochs, and the units of the positions?'}")
     return [f"{note}; {elsewhere}" if elsewhere else note]
+
+
+def _otherwise(directions: Array) -> Iterator[tuple[str, Array]]:
+    """Yield what positions may be by mistake, and where they are then (3, N)."""
+    from astropy.coordinates import SkyCoord
+
+    ra, dec = position(directions)
+    ra = (ra + np.pi) % (2.0 * np.pi) - np.pi
+    for frame, words in OTHER_FRAMES.items():
+        yield words, SkyCoord(ra, dec, unit="rad", frame=frame).icrs.cartesian.xyz.value
+    yield "in hours", triad(15.0 * ra, dec).r
+    yield "in radians", triad(ra / DEGREE, dec / DEGREE).r
 
 
 def _elsewhere(satellite: AstrometricTable, table: AstrometricTable, matched: Match, far: Indices) -> str:
