@@ -774,7 +774,7 @@ class Experiment:
     outputs: tuple[Output, ...]
     evaluate: Evaluate
     summarise: Summarise
-    coordinates: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    coordinates: Mapping[str, Sequence[str]] = field(default_factory=dict)
     component_units: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     samples: Evaluate | None = None
     sample_outputs: tuple[Output, ...] = ()

@@ -395,7 +395,7 @@ class FunctionExperiment(Experiment):
             layout=layout,
             outputs=moments.outputs() if self.rng else _outputs(layout, self.declared),
             sample_outputs=moments.sample_outputs(),
-            coordinates={coordinate.name: coordinate.values for coordinate in layout.coordinates},
+            coordinates={coordinate.name: coordinate.labels for coordinate in layout.coordinates},
         )
 
     @functools.cached_property
@@ -520,7 +520,7 @@ class FunctionExperiment(Experiment):
 
     def as_record(self) -> dict[str, Any]:
         """Return what a store records of a plain function besides what it records of every experiment."""
-        layout = None if self.layout is None else asdict(self.layout)
+        layout = None if self.layout is None else results.json_of_layout(self.layout)
         outputs = [asdict(replace(output, coords=None)) for output in self.declared]
         return {"function": {"rng": self.rng, "layout": layout, "outputs": outputs}}
 

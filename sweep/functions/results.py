@@ -5,7 +5,7 @@ dimensions with coordinates and units; and says how two layouts differ.
 import datetime
 import math
 import sys
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Any, Literal, NamedTuple
@@ -30,19 +30,29 @@ ALLOWED = "results are numbers, strings, truth values, times, arrays of these, o
 
 @dataclass(frozen=True)
 class Coordinate:
-    """The values along a dimension; those of times are nanoseconds since 1970.  A ``ragged`` one has numbers, at least
-    as many as there are values at any point.
+    """The values along a dimension, or how many there are of 0, 1, 2 ...; those of times are nanoseconds since 1970.  A
+    ``ragged`` one has numbers, at least as many as there are values at any point.
     """
 
     name: str
     type: Type
-    values: tuple[Any, ...]
+    values: tuple[Any, ...] | int
     unit: str = ""
     ragged: bool = False
 
+    def __post_init__(self) -> None:
+        """Keep only the count where a million numbers say no more."""
+        if self.type == "int" and isinstance(self.values, tuple) and self.values == tuple(range(len(self.values))):
+            object.__setattr__(self, "values", len(self.values))
+
+    @property
+    def labels(self) -> Sequence[Any]:
+        """All values."""
+        return range(self.values) if isinstance(self.values, int) else self.values
+
     def array(self) -> NDArray[Any]:
         """Return the values as a dataset has them."""
-        return np.array(self.values, dtype=DTYPES[self.type])
+        return np.array(self.labels, dtype=DTYPES[self.type])
 
 
 @dataclass(frozen=True)
@@ -69,7 +79,7 @@ class Layout:
     @cached_property
     def sizes(self) -> dict[str, int]:
         """The length of each dimension."""
-        return {coordinate.name: len(coordinate.values) for coordinate in self.coordinates}
+        return {coordinate.name: len(coordinate.labels) for coordinate in self.coordinates}
 
     def shape(self, field: Field) -> tuple[int, ...]:
         """Return the shape of one result."""
@@ -108,6 +118,12 @@ class Layout:
         return names or {field.name for field in self.fields}
 
 
+def json_of_layout(layout: Layout) -> dict[str, Any]:
+    """Return a layout as a dictionary, quickly for many values."""
+    parts = {"fields": [*map(vars, layout.fields)], "coordinates": [*map(vars, layout.coordinates)]}
+    return {**parts, "drawn": layout.drawn}
+
+
 def layout_of_json(document: Mapping[str, Any]) -> Layout:
     """Return the layout that was recorded as a dictionary; raises ValueError for one that is no layout."""
     from pydantic import TypeAdapter  # here: workers, which read no records, need not import it
@@ -135,7 +151,8 @@ def layout_differences(expected: Layout, other: Layout) -> tuple[str, ...]:
     extra = [name for name in names if name not in wanted]
     phrases = [f"{name!r} is missing{suggest(name, extra)}" for name in wanted if name not in names]
     phrases += [f"{name!r} was not returned by the first point" for name in extra]
-    before, now = _facts(expected), _facts(other)
+    common = {*expected.coordinates} & {*other.coordinates}
+    before, now = _facts(expected, common), _facts(other, common)
     phrases += [
         f"{what} is {shown(now[what])}, expected {shown(value)}"
         for what, value in before.items()
@@ -144,16 +161,16 @@ def layout_differences(expected: Layout, other: Layout) -> tuple[str, ...]:
     return tuple(phrases[:5])
 
 
-def _facts(layout: Layout) -> dict[str, Any]:
+def _facts(layout: Layout, common: Set[Coordinate]) -> dict[str, Any]:
     facts: dict[str, Any] = {}
     for field in layout.fields:
         kind = "number" if field.type in NUMBERS and field.name not in layout.large else field.type
         qualities = {"dims": field.dims, "type": kind, "unit": field.unit}
         facts |= {f"the {quality} of {field.name!r}": value for quality, value in qualities.items()}
-    for one in (coordinate for coordinate in layout.coordinates if not coordinate.ragged):
-        facts |= {f"the length of {one.name!r}": len(one.values), f"the unit of the coordinate {one.name!r}": one.unit}
+    for one in (coordinate for coordinate in layout.coordinates if not coordinate.ragged and coordinate not in common):
+        facts |= {f"the length of {one.name!r}": len(one.labels), f"the unit of the coordinate {one.name!r}": one.unit}
         facts[f"the type of the coordinate {one.name!r}"] = one.type
-        facts |= {f"value {i} of the coordinate {one.name!r}": value for i, value in enumerate(one.values)}
+        facts |= {f"value {i} of the coordinate {one.name!r}": value for i, value in enumerate(one.labels)}
     return facts
 
 
@@ -164,7 +181,7 @@ def joined(one: Layout, other: Layout) -> Layout:
     """
     layout = one.with_floats(field.name for field in other.fields if field.type == "float")
     theirs = {coordinate.name: coordinate for coordinate in other.coordinates}
-    longer = (max(mine, theirs[mine.name], key=lambda c: len(c.values)) for mine in one.coordinates)
+    longer = (max(mine, theirs[mine.name], key=lambda c: len(c.labels)) for mine in one.coordinates)
     return replace(layout, coordinates=tuple(longer))
 
 
@@ -190,7 +207,7 @@ def as_row(outcome: Outcome, expected: Layout) -> Any:
 
 def lengths_hint(expected: Layout, other: Layout) -> tuple[str, ...]:
     """Return how to declare the results whose lengths differ from those of another point, if there are any."""
-    different = {one.name for one in expected.coordinates if len(one.values) != other.sizes.get(one.name)}
+    different = {one.name for one in expected.coordinates if len(one.labels) != other.sizes.get(one.name)}
     along = [(f, dim) for f in expected.fields for dim in f.dims if dim in different and f.name not in expected.ragged]
     outputs = [
         f"Output({f.name!r}, {f'dims={f.dims}, ragged={dim!r}' if len(f.dims) > 1 else 'ragged=True'})"
@@ -574,16 +591,16 @@ def _coordinates(values: Mapping[str, Value], declared: Declared) -> tuple[dict[
                 problems[f"{name!r} has a coordinate {one.name!r} in {one.unit}, expected {before.unit}"] = None
     for name, value in values.items():
         for dim, size in zip(value.dims or (), value.array.shape, strict=True):
-            expected = len(known.setdefault(dim, Coordinate(dim, "int", tuple(range(size)))).values)
+            expected = len(known.setdefault(dim, Coordinate(dim, "int", size)).labels)
             if expected != size:
                 problems[f"{name!r} has {size} values along {dim!r}, expected {expected}"] = None
             if size == 0 and dim not in ragged:
                 problems[f"{name!r} has no values: its shape is {value.array.shape}"] = None
     for dim in ragged:
-        size = len(known[dim].values)
-        if known[dim].values != tuple(range(size)):
+        size = len(known[dim].labels)
+        if known[dim].values != size:
             problems[f"{dim!r} is ragged, and so it is numbered: return its coordinate as another output"] = None
-        known[dim] = Coordinate(dim, "int", tuple(range(1 << max(size - 1, 0).bit_length())), ragged=True)
+        known[dim] = Coordinate(dim, "int", 1 << max(size - 1, 0).bit_length(), ragged=True)
     return known, list(problems)
 
 

@@ -29,8 +29,7 @@ class TwoModes:
         return (1.0 - self.share) * stats.norm.cdf(x, 0.0, 0.5) + self.share * stats.norm.cdf(x, 5.0, 0.5)
 
     def ppf(self, p):
-        x = np.linspace(-4.0, 9.0, 20_001)
-        return np.interp(p, self.cdf(x), x)
+        return np.interp(p, self.cdf(x := np.linspace(-4.0, 9.0, 20_001)), x)
 
 
 def drawn(law, n, copies, seed=7):
@@ -102,8 +101,7 @@ def test_errors_of_a_law_of_two_values_hold_the_truth_exactly_as_often(kind, n):
     """No simulation: each number of the higher value has its binomial probability."""
     low, high = (False, True) if kind == "bool" else (-3.0, 5.0)
     names = ("mean", "std", "count") if kind == "bool" else ("mean", "std")
-    *found, _ = measured(two_values(low, high, n), *names)
-    (mean, of_mean), (std, of_std), *counts = found
+    (mean, of_mean), (std, of_std), *counts, _ = measured(two_values(low, high, n), *names)
     for chance in (0.5, 0.4, 0.3, 0.25, 0.2):
         likely = stats.binom.pmf(np.arange(n + 1), n, chance)
         spread = (high - low) * np.sqrt(chance * (1.0 - chance))
