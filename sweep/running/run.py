@@ -33,7 +33,7 @@ from linksweep.sweep.planning.union import REFINED, UNITED, united, with_numbers
 from linksweep.sweep.running.progress import FIRST, FailureCount, MaxFailures, Progress, Silent, Taken
 from linksweep.sweep.running.results import Labelled, add_covariances, assemble, assemble_samples, code_variable, masked
 from linksweep.sweep.stores.ledger import Record
-from linksweep.sweep.stores.location import Where, locked, writing
+from linksweep.sweep.stores.location import Where, holder, locked, writing
 from linksweep.sweep.stores.store import BLOCKS, CODE, OpenStore, Store, create_store, replace_store, seen, store_at
 from linksweep.sweep.studies.reader import problems_of_results
 from linksweep.sweep.studies.record import RECORD, as_recorded, provenance, recorded, recorded_study
@@ -928,10 +928,11 @@ def run_study(
         try:
             stack.enter_context(locked(store, break_lock=break_lock))
         except SweepError:  # a store that cannot be locked can still be read
+            if retry or fresh or beside != ALL:
+                raise
             session = None
-            with suppress(SweepError):
-                if not (retry or fresh or beside != ALL):
-                    session = Session.open(grid, store, accept_code=accept_code)
+            with suppress(SweepError) if holder(store) else nullcontext():  # who writes it has perhaps just begun
+                session = Session.open(grid, store, accept_code=accept_code)
             if session is None or not session.is_left_alone:
                 raise
         else:

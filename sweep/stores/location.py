@@ -118,7 +118,7 @@ class Folder:
     def create(self, key: str, content: bytes) -> bool:
         """Write a file unless there is one, by linking a finished one to its name; return whether it was written."""
         path = self._at(key)
-        with suppress(FileExistsError), _finished(path, content, durable=True) as temporary:
+        with _finished(path, content, durable=True) as temporary, suppress(FileExistsError):
             # A link fails where the name exists, and brings the whole content with it: no reader sees half a lock.
             try:
                 os.link(temporary, path)

@@ -306,6 +306,8 @@ def test_bad_scheduler(here, monkeypatch, address):
 def test_something_else_where_the_store_should_be(here, case):
     files, phrase = FOREIGN[case]
     write(here, {f"s.zarr/{name}".rstrip("/"): content.encode() for name, content in files.items()})
+    if (here / "s.zarr").is_dir():
+        (here / "s.zarr" / "link").symlink_to("thesis.txt")  # not for us to look at
     for command in (("run", "study.toml", "-o"), ("plan", "study.toml", "-o"), ("show",), ("status",)):
         check_refused(here, (*command, "s.zarr"), "s.zarr: ", phrase)
 
