@@ -17,6 +17,7 @@ from linksweep.sweep.contract import FEW, FEWEST_SAMPLES, Array, Status, SweepEr
 from linksweep.sweep.contract.rows import LENGTH, count_status, unfinished_in_words
 from linksweep.sweep.formatting import ERRORS, RAGGED, first_of, is_missing, is_truth, meant, plain, prefixed, units_of
 from linksweep.sweep.stores.store import RUNNING, finished
+from linksweep.sweep.studies.points import plain_value
 from linksweep.sweep.studies.record import FUNCTION, outer_draw_of
 from linksweep.sweep.studies.study import LOST, POINT, POINT_TABLE, Claim
 
@@ -445,7 +446,10 @@ def indices(dataset: xr.Dataset, places: Mapping[str, Any]) -> dict[str, list[in
         values = listed(dataset, name, [dimension])
         exact = list(dataset[name].values) if dataset[name].dtype.kind == "M" else values
         hits = {i for i, value in enumerate(exact) if _is_meant(value, wanted)}
-        if not (hits := hits or meant(values, wanted)):
+        if not (hits := hits or meant(values, wanted)) and not isinstance(wanted, str):
+            label = str(plain_value(wanted, name))  # an axis with objects has their labels
+            hits = {i for i, value in enumerate(values) if value == label}
+        if not hits:
             there = first_of([text or "none" for text in plain(values)], FEW)
             problems.append(f"{name} = {wanted} is not in the grid, which has {there}")
         elif not chosen.setdefault(dimension, hits) & hits:
@@ -471,14 +475,15 @@ def between(dataset: xr.Dataset, axis: str, low: float, high: float) -> xr.Datas
 def _is_meant(value: object, wanted: Any) -> bool:
     if is_missing(value):  # where a conditional parameter has no effect
         return str(wanted).lower() in ("nan", "none")
-    is_time = isinstance(value, np.datetime64)
-    if not is_time and (not isinstance(wanted, str) or isinstance(value, str)):
-        return bool(value == wanted)
-    if isinstance(value, bool):
-        return bool(wanted.lower() == str(value).lower())
-    # an integer beyond 2**53 is no float
-    for read in (np.datetime64,) if is_time else (int, float):
-        with suppress(ValueError, TypeError):
+    if isinstance(value, bool) and isinstance(wanted, str):
+        return wanted.lower() == str(value).lower()
+    reads: Sequence[Any] = [lambda same: same]
+    if isinstance(value, np.datetime64):
+        reads = [np.datetime64]
+    elif isinstance(wanted, str) and not isinstance(value, str):
+        reads = [int, float]  # an integer beyond 2**53 is no float
+    for read in reads:
+        with suppress(ValueError, TypeError):  # an array is equal to nothing
             return bool(value == read(wanted))
     return False
 

@@ -228,8 +228,7 @@ def test_a_value_between_points_and_the_place_of_a_value(seed, share, shared, sa
     first, error = crossing["first"].item(), crossing["first_error"].item()
     wanted = np.maximum(back(at + reaches[0]) - first, first - back(at - reaches[1])) / 2.0
     is_far = np.isnan(wanted) and 2.0 * error > first - back(at - 3.0 * np.ptp(z))
-    close = 2e-3 * (1.0 + np.nan_to_num(np.maximum(*reaches)))  # as far apart as places that are tried
-    assert is_far or error == pytest.approx(wanted, rel=close, nan_ok=True)
+    assert is_far or error == pytest.approx(wanted, rel=2e-3 * (1.0 + np.nan_to_num(max(reaches))), nan_ok=True)
 
 
 @several
@@ -256,8 +255,8 @@ def test_a_ratio_of_two_points(seed, samples):
     _, x, y, errors, covariance = drawn(seed)
     whole = results(x, y, None, covariance, samples).assign(width_mc_error=("n", errors))
     more = 1.0 if samples is None else factor(samples)
-    far = results(x, 2.0**900 * y, 2.0**900 * errors)
-    for dataset, spread in ((far, np.diag(errors**2)), (whole, covariance * more)):
+    far = results(x, 2.0**900 * y, 2.0**900 * errors), np.diag(errors**2)
+    for dataset, spread in (far, (whole, covariance * more)):
         found = linksweep.ratio(dataset, "width", "n", of=x[0], to=x[-1])
         assert found["ratio"].item() == pytest.approx(y[0] / y[-1], rel=1e-12)
         wanted = delta(lambda values: values[0] / values[-1], y, spread)

@@ -81,6 +81,9 @@ def test_an_axis_has_values_of_all_types(pool, tmp_path):
     again = run(tmp_path / "s.zarr", axes={"thing": values[::-1]})
     assert again.text.values.tolist() == ds.text.values.tolist()[::-1]
     assert linksweep.open(tmp_path / "s.zarr").sizes["thing"] == len(values)
+    numbered = ds.assign(number=("thing", np.arange(len(values)) + 1.0))
+    ratios = [linksweep.ratio(numbered, "number", "thing", of=value, to=None)["ratio"] for value in values]
+    assert ratios == [*range(1, len(values) + 1)]
 
 
 def holding(inner):
