@@ -313,6 +313,9 @@ def part_of(store: "Location", at: At, excluded_too: bool = False, running: bool
 EXIT_FAILED_POINTS = 1
 EXIT_BAD_INPUT = 2
 
+NARROWEST = 40
+"""The least columns of a terminal that tables and sentences are made to fit."""
+
 LAST_SECOND = 1.0
 """Seconds that Python's own clean-up may take after a signal before the process ends without it."""
 
@@ -596,11 +599,19 @@ def wrote(path: object, more: str = "") -> None:
     click.echo(f"wrote {str(path).translate(ESCAPED)}{more}", err=True)
 
 
+def columns() -> int:
+    """Return the width of the terminal, that of sentences where it has none or there is no terminal: a file has the
+    same bytes whatever terminal the command was typed in.
+    """
+    known = os.get_terminal_size(RESULTS[0].fileno()) if RESULTS[0].isatty() else None
+    return WIDTH if known is None else max(NARROWEST, shutil.get_terminal_size(known).columns or WIDTH)
+
+
 def print_wrapped(text: str, first: str = "", later: str = "") -> None:
     """Print a sentence in lines of the width of a terminal, the first and the later ones behind a prefix; no word is
     broken, since it may be a name.
     """
-    wrapper = textwrap.TextWrapper(WIDTH, first, later, replace_whitespace=False)
+    wrapper = textwrap.TextWrapper(min(WIDTH, columns()), first, later, replace_whitespace=False)
     wrapper.break_long_words = wrapper.break_on_hyphens = False
     put(wrapper.fill(text))
 
@@ -612,13 +623,10 @@ def print_styled(text: str, **style: bool) -> None:
 
 def print_tables(tables: "Iterable[Table]", notes: Iterable[str] = ()) -> None:
     """Print tables with the columns for which there is room, and sentences below them; no number is cut."""
-    # A file or a pipe has no width: the same bytes whatever terminal the command was typed in.
-    is_terminal = RESULTS[0].isatty()
-    known = os.get_terminal_size(RESULTS[0].fileno()) if is_terminal else (WIDTH, 0)
-    width = max(WIDTH, shutil.get_terminal_size(known).columns) if is_terminal else WIDTH
+    width = columns()
     for number, table in enumerate(tables):
         kept, left_out = table.fitting(width)
-        text = kept.text(width, styled=is_terminal)
+        text = kept.text(width, styled=RESULTS[0].isatty())
         click.echo(f"\n{text}" if number else text, file=RESULTS[0].unescaped)
         if left_out:
             print_wrapped(f"left out to fit {width} columns: {left_out}; --json has them")

@@ -443,8 +443,8 @@ class _Reader:
         docstring = (inspect.isfunction(call) and inspect.getdoc(call)) or ""
         summary, *rest = re.split(r"(?<=[.!?])\s+(?=[A-Z])|\n\n", docstring, maxsplit=1)
         summary = " ".join(summary.split()).rstrip(".")
-        if len(summary) > LONGEST_TITLE or not summary.isprintable() or "$" in summary or form.title != experiment.name:
-            summary, rest = "", [docstring]  # a terminal or a figure would take some of it for something else
+        if len(summary) > LONGEST_TITLE or not summary.isprintable() or form.title != experiment.name:
+            summary, rest = "", [docstring]  # a terminal would take some of it for something else
         study = Study(
             name=self.path.stem,
             title=summary or form.title,

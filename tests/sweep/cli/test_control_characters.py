@@ -81,14 +81,15 @@ def test_json_is_exact(folder, sweep):
 def test_a_terminal_gets_styles_of_ours_alone(folder, look):
     (ours, theirs), said = pty.openpty(), b""
     command = [sys.executable, "-m", "linksweep", look, "s.zarr"]
-    with subprocess.Popen(command, cwd=folder, stdout=theirs, stderr=theirs, env=os.environ | {"TERM": "xterm"}):
+    narrow = os.environ | {"TERM": "xterm", "COLUMNS": "40"}
+    with subprocess.Popen(command, cwd=folder, stdout=theirs, stderr=theirs, env=narrow):
         os.close(theirs)
         with suppress(OSError):  # the other end is closed
             while part := os.read(ours, 65536):
                 said += part
     os.close(ours)
     text = said.decode()
-    assert look != "show" or "\x1b[1m" in text
+    assert look != "show" or ("\x1b[1m" in text and "left out to fit 40 columns:" in text)
     assert not found(OURS.sub("", text))
     assert "31m" not in text.replace("u001b[31m", "")
 

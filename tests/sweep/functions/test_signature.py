@@ -14,7 +14,7 @@ from scipy.signal.windows import kaiser
 import linksweep
 from linksweep import Output, Parameter, SweepError, experiment, load_study, run
 
-TITLES = [*(("A cup of coffee that cools.", "Coffee", "Coffee"), ("What $x costs.", None, "f"), (None, None, "f"))]
+TITLES = [*(("A cup of coffee that cools.", "Coffee", "Coffee"), ("In $x_$.", None, "In $x_$"), (None, None, "f"))]
 TITLES += [("A cup of coffee that cools.\n\n    The room has 20 degrees.\n", None, "A cup of coffee that cools")]
 TITLES += [("A cup of coffee\n    that cools.\n    The room has 20 degrees.", None, "A cup of coffee that cools")]
 TITLES += [("A cup, e.g. of coffee, that cools. The room has 20 degrees.", None, "A cup, e.g. of coffee, that cools")]
