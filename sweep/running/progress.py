@@ -354,7 +354,12 @@ class Progress(Protocol):
 
 
 class Silent(Progress):
-    """Watches nothing."""
+    """Watches nothing, and tells only what a study is warned of."""
+
+    def say(self, text: str) -> None:
+        """Log a warning."""
+        if text.startswith("warning: "):
+            SENTENCES.warning(text)
 
 
 class TerminalProgress:

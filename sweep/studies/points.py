@@ -28,7 +28,7 @@ from linksweep.sweep.contract import Array, Experiment, Named, Parameter, SweepE
 from linksweep.sweep.contract.experiment import LABEL, factor_between, is_quantity, name_problem, rescaled, same_unit
 from linksweep.sweep.formatting import first_of
 from linksweep.sweep.studies.study import POINT, Form, PointsForm, PointTable, Sampling, number_at
-from linksweep.sweep.tables.columns import rows_listed, table_file
+from linksweep.sweep.tables.columns import content_digest, rows_listed, table_file
 from linksweep.sweep.tables.reader import BRACKETS, read_table
 
 MAX_VALUES = 1_000_000
@@ -134,7 +134,10 @@ class Values:
             refuse_quantity(raw, parameter)
             is_plain = type(raw) in PLAIN_TYPES or (isinstance(raw, dict) and raw.keys() == {LABEL})
             is_object = parameter.takes_objects and not is_plain
-            value = parameter.parse(labelled(raw) if is_object else raw)
+            if place[0] == "when":
+                value = compared(parameter, raw)
+            else:
+                value = parameter.parse(labelled(raw) if is_object else raw)
             if parameter.kind not in ("file", "files"):
                 return value
             folder = Path.cwd() if place[:2] in self.problems.options else self.folder
@@ -704,9 +707,9 @@ def _designed(form: PointsForm, values: Values) -> tuple[Cells, dict[str, Any]]:
 # Objects of Python in place of a file
 
 
-def labelled(value: Any, label: str = "") -> Named:
+def labelled(value: Any, label: str = "", otherwise: str = "") -> Named:
     """Return an object as the value of a parameter: under a label, by default its name or what Python prints for it,
-    and known by its canonical form and the code that it reaches.
+    ``otherwise`` if that is none, and known by its canonical form and the code that it reaches.
 
     Raises ValueError for an object without a canonical form, and for one that has no label of its own and gets none.
 
@@ -724,8 +727,21 @@ def labelled(value: Any, label: str = "") -> Named:
         texts = str if isinstance(value, PurePath | datetime.date | datetime.time | np.datetime64) else repr
         label = name or " ".join(texts(value).split())
         if label == "<lambda>" or " at 0x" in label or "..." in label or len(label) > LONGEST_LABEL:
+            label = otherwise
+        if not label:
             raise ValueError(f"{shown(value)} has no label of its own; give it one, {{'label': value}}")
     return Named(str(label), json.dumps(parts, sort_keys=True), value)
+
+
+def compared(parameter: Parameter, raw: Any) -> Value:
+    """Return a value of a condition; where it may be an object, a text is a label, too, and an object is its digest.
+
+    Raises ValueError as `Parameter.parse`.
+    """
+    refuse_quantity(raw, parameter)
+    if not parameter.takes_objects or type(raw) in (bool, int, float, str, type(None)):
+        return raw if parameter.takes_objects and isinstance(raw, str) else parameter.parse(raw)
+    return content_digest(raw if isinstance(raw, Named) else labelled(raw, "object"))
 
 
 def with_default_objects(experiment: Experiment) -> Experiment:
@@ -740,8 +756,10 @@ def with_default_objects(experiment: Experiment) -> Experiment:
     return replace(experiment, parameters=tuple(parameters)) if arguments else experiment
 
 
-def plain_values(values: Any, where: str) -> Any:
-    """Return the values of an axis or a column as a study has them: numbers and texts, and others as objects."""
+def plain_values(values: Any, where: str, otherwise: str = "") -> Any:
+    """Return the values of an axis or a column as a study has them: numbers and texts, and others as objects, with the
+    label ``otherwise`` if they have none.
+    """
     if is_quantity(values):  # refused where the unit of its parameter is known
         return values
     if isinstance(values, Mapping):
@@ -753,17 +771,17 @@ def plain_values(values: Any, where: str) -> Any:
     kind = getattr(getattr(values, "dtype", None), "kind", "O")
     if kind in PLAIN or isinstance(values, str | bytes | set | frozenset | Iterator | range):
         return plain(values, where)
-    return [plain_value(one, where) for one in values] if isinstance(values, Iterable) else values
+    return [plain_value(one, where, "", otherwise) for one in values] if isinstance(values, Iterable) else values
 
 
-def plain_value(value: Any, where: str, label: str = "") -> Any:
+def plain_value(value: Any, where: str, label: str = "", otherwise: str = "") -> Any:
     """Return a value as a study has it, as `plain_values`; without a ``label`` lists and tables stay as they are."""
     if not label and (type(value) in PLAIN_TYPES or isinstance(value, (list, tuple, Mapping)) or is_quantity(value)):
         return value
     if not label and isinstance(value, np.generic) and value.dtype.kind in PLAIN:
         return plain(value, where)
     try:
-        return labelled(value, label)
+        return labelled(value, label, otherwise)
     except ValueError as error:
         raise SweepError(f"{where}: {error}") from error
 
@@ -795,13 +813,24 @@ def plain_study(document: Mapping[str, Any]) -> dict[str, Any]:
     made: Mapping[str, Callable[[Any, str], Any]] = {"axes": plain_values, "fixed": plain_value}
     written: dict[str, Any] = {}
     for key, value in document.items():
-        if key not in made:
+        if key == "when":
+            written[key] = plain_conditions(value, key)
+        elif key == "exclude" and isinstance(value, list | tuple):
+            written[key] = [plain_conditions(one, key, listed=False) for one in value]
+        elif key not in made:
             written[str(key)] = plain_points(value) if key == "points" else plain(value, str(key))
         elif isinstance(value, Mapping):
             written[key] = {str(name): made[key](one, f"{key}.{name}") for name, one in value.items()}
         else:
             written[key] = value
     return written
+
+
+def plain_conditions(raw: Any, where: str, listed: bool = True) -> Any:
+    """Return conditions as a study has them, those on a parameter's value being ``listed``; objects have any label."""
+    if isinstance(raw, Mapping):
+        return {str(key): plain_conditions(one, f"{where}.{key}", listed or key == "in") for key, one in raw.items()}
+    return plain_values(raw, where, "object") if listed else plain_value(raw, where, otherwise="object")
 
 
 def plain_points(points: Any) -> dict[str, Any]:

@@ -23,7 +23,16 @@ from linksweep.sweep.contract import DefinitionError, Experiment, Function, Name
 from linksweep.sweep.formatting import split_assignment
 from linksweep.sweep.functions.adapter import is_plain_function, name_of
 from linksweep.sweep.studies import built_in_studies
-from linksweep.sweep.studies.points import KeyPath, Problems, Values, plain_study, read_cell, read_points, with_labels
+from linksweep.sweep.studies.points import (
+    KeyPath,
+    Problems,
+    Values,
+    compared,
+    plain_study,
+    read_cell,
+    read_points,
+    with_labels,
+)
 from linksweep.sweep.studies.study import DEFAULT_EXPERIMENT, Condition, Context, Form, Part, Published, Sampling, Study
 from linksweep.sweep.tables.columns import TableFile
 
@@ -431,10 +440,13 @@ class _Reader:
                 if name not in {**axes, **fixed}:
                     words = f"{name} has no default: set it here (--set {name}=VALUE) or in axes (--axis)"
                     problems.add(("fixed", name), words)
-        experiment = self._with_labels(experiment, axes, fixed)
+        when = {n: {one.name: one.written(when[n][one.name]) for one in some} for n, some in conditions.items()}
+        self.document |= {"when": {name: when.get(name) for name in form.when}} if form.when else {}
+        experiment = self._with_labels(experiment, axes, fixed, when)
         published = _read_published(form, values, axes)
         changed = frozenset(str(place[1]) for place in problems.options if place[0] in ("axes", "fixed"))
-        context = Context(experiment, crossed, zipped, frozenset({*axes, *fixed}), changed) if is_whole else None
+        known = frozenset({*axes, *fixed})
+        context = Context(experiment, crossed, zipped, known, changed, compared) if is_whole else None
         statements = {key: self.document[key] for key in STATEMENTS if key in self.document}
         checked = _read_form({"title": "", **statements}, problems, context)
         problems.report()
@@ -488,9 +500,15 @@ class _Reader:
             return {}
 
     def _with_labels(
-        self, experiment: Experiment, axes: Mapping[str, tuple[Value, ...] | None], fixed: Mapping[str, Value]
+        self,
+        experiment: Experiment,
+        axes: Mapping[str, tuple[Value, ...] | None],
+        fixed: Mapping[str, Value],
+        when: Mapping[str, Mapping[str, Sequence[Value]]],
     ) -> Experiment:
-        """Return the experiment with the objects that the study gives its parameters, each under one label."""
+        """Return the experiment with the objects that the study gives its parameters, each under one label, and with
+        the conditions under which they have an effect.
+        """
         parameters = []
         for parameter in experiment.parameters:
             name = parameter.name
@@ -499,7 +517,7 @@ class _Reader:
                 with self.problems.at(("axes" if name in axes else "fixed", name)):
                     Values.require_labels(values)
             objects = tuple({one.name: one for one in values if isinstance(one, Named)}.values())
-            parameters.append(replace(parameter, defined=objects))
+            parameters.append(replace(parameter, defined=objects, when=when.get(name, {})))
         same = tuple(parameters) == experiment.parameters
         return experiment if same else replace(experiment, parameters=tuple(parameters))
 
@@ -544,6 +562,14 @@ class _Reader:
         if study.points is not None:
             # the values and not the file or the function that gave them: a store is continued as it was begun
             document["points"] = study.points.written({name: written[name] for name in study.points.names})
+        if study.excluded:  # objects by their digests
+            document["exclude"] = [
+                {
+                    one.name: rule if one.among is None else {"in": [*map(known[one.name].written, one.among)]}
+                    for one, rule in zip(clause, raw.values(), strict=True)
+                }
+                for clause, raw in zip(study.excluded, document["exclude"], strict=True)
+            ]
         paths = {name: one.path for name, one in values.items() if isinstance(one, TableFile)}
         for key in {"axes", "fixed"} & document.keys():
             document[key] = document[key] | {

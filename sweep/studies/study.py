@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
-from linksweep.sweep.contract import HUGE, Experiment, Named, Value, bound_in_words, shown, suggest
+from linksweep.sweep.contract import HUGE, Experiment, Named, Parameter, Value, bound_in_words, nearest, shown, suggest
 from linksweep.sweep.formatting import ESCAPED, first_of, plain
 from linksweep.sweep.tables.columns import content_digest
 
@@ -36,7 +36,7 @@ class Context:
 
     ``axes`` may hold None for an axis that is itself wrong; ``known`` are all parameters that the study sets.
     ``changed`` are those that the command line changed: a claim that no longer fits them is not a mistake of the study,
-    and is left for the comparison to report.
+    and is left for the comparison to report.  ``compared`` reads a value of a condition.
     """
 
     experiment: Experiment
@@ -44,6 +44,7 @@ class Context:
     zipped: Sequence[Sequence[str]]
     known: frozenset[str]
     changed: frozenset[str]
+    compared: Callable[[Parameter, Any], Value] = Parameter.parse
 
     def values(self, name: str) -> tuple[Value, ...] | None:
         """Return the values of an axis, None where they are not known, or may be others than the study means.
@@ -107,10 +108,16 @@ def printed_rounding(text: str) -> float:
     return float(f"5e{exponent - 1}") if isinstance(exponent, int) else math.nan
 
 
+def _names(value: Value) -> list[tuple[Value, bool]]:
+    """Return under what a condition knows a value, told apart as by `is_other`."""
+    names = [value, value.name, content_digest(value)] if isinstance(value, Named) else [value]
+    return [(name, type(name) is bool) for name in names]
+
+
 @dataclass(frozen=True)
 class Condition:
     """A condition of an exclusion or an effect: a parameter's value is in ``among``, or above and below the bounds that
-    are given.
+    are given.  An object is known there by its label or its digest.
     """
 
     name: str
@@ -121,17 +128,37 @@ class Condition:
     def holds(self, value: Any) -> bool:
         """Return whether a parameter's value meets the condition."""
         if self.among is not None:
-            return (value, type(value) is bool) in self._among
+            return not self._among.isdisjoint(_names(value))
         return (
             is_number(value)
             and (self.above is None or value > self.above)
             and (self.below is None or value < self.below)
         )
 
+    def written(self, raw: Sequence[Any]) -> list[Any]:
+        """Return ``among`` as JSON, from the values that were read: objects as their digests."""
+        pairs = zip(raw, self.among or (), strict=False)
+        return [one if type(one) in (str, dict) else value for one, value in pairs]
+
+    def unmet(self, values: Sequence[Value], is_declared: bool) -> str:
+        """Return a sentence where none of some values meets it, or where one of ``among`` looks misspelt, unless it
+        ``is_declared`` for studies with other values; '' elsewhere.
+        """
+        is_met = any(map(self.holds, values))
+        there = {name for value in values for name in _names(value)} if self.among else set()
+        known = [str(value) for value in values if isinstance(value, str | Named)][:1000]
+        lacking = [value for value in self.among or () if there.isdisjoint(_names(value))]
+        named = [value for value in lacking if not str(value).startswith("sha256:")][:20]
+        near = [one for one in named if not (is_met and is_declared) and nearest(str(one), known)]
+        if is_met and not near:
+            return ""
+        hints = [f": {shown(one)}{suggest(str(one), known)}" for one in [*near, *named][:1]]
+        return f"no point has such a value of {self.name}{''.join(hints)}"
+
     @cached_property
     def _among(self) -> frozenset[tuple[Value, bool]]:
-        """The values of ``among``, told apart as by `is_other`; there may be thousands, and a million points to ask."""
-        return frozenset((value, type(value) is bool) for value in self.among or ())
+        """What is ``among``; there may be thousands, and a million points to ask."""
+        return frozenset(name for value in self.among or () for name in _names(value))
 
 
 def _condition(name: str, written: Any, context: Context) -> Condition:
@@ -143,7 +170,7 @@ def _condition(name: str, written: Any, context: Context) -> Condition:
     if listed is not None:
         if not isinstance(listed, list) or len(rule) > 1:
             raise ValueError("'in' takes a list, and 'in' or 'equal' stands alone")
-        return Condition(name, among=tuple(parameter.parse(raw) for raw in listed))
+        return Condition(name, among=tuple(context.compared(parameter, raw) for raw in listed))
     values = context.axes.get(name) or ()
     are_numbers = parameter.kind == "any" and all(value is None or is_number(value) for value in values)
     if parameter.kind not in ("float", "int") and not are_numbers:

@@ -277,7 +277,9 @@ def test_conditions_of_any_depth_hold_at_each_point_wherever_its_values_come_fro
         try:
             ds = linksweep.run(study | {"experiment": chained, "when": when}, store, pool="serial", keep=True)
         except SweepError as error:
-            if "shares a dimension" in str(error) and study.keys() & {"grid", "points"}:
+            if "at no point" in str(error) or (
+                "shares a dimension" in str(error) and study.keys() & {"grid", "points"}
+            ):
                 return
             raise
         assert {*ds.chained.values[ds.status.values == 1]} == asked
@@ -305,6 +307,26 @@ def test_conditions_tell_truth_values_from_numbers(tmp_path, axis):
         ds = linksweep.run(lambda k, g=0.5: f"{k!r} {g}", store, axes=axes, when=when, pool="serial")
         expected = {f"{one} 0.5" for one in others} | {f"{value!r} {g}" for g in axes["g"]}
         assert {*ds.result.values[ds.status.values == 1]} == expected
+
+
+@pytest.mark.parametrize("named", [Net(1), "small", Colour.RED, "RED"])
+def test_conditions_name_an_object_by_itself_or_its_label_and_a_misspelt_one_is_told(tmp_path, caplog, named):
+    def score(net, cut=0.5):
+        return cut + getattr(net, "width", 2)
+
+    more = {"axes": {"net": {"small": Net(1), "RED": Colour.RED}, "cut": [0.25, 0.75]}, "pool": "serial"}
+    when, width = {"cut": {"net": [named]}}, 2 if named in ("RED", Colour.RED) else 1
+    linksweep.run(score, tmp_path / "exclude", exclude=[{"net": named}], **more)
+    with pytest.raises(SweepError, match=r"cut has an effect at no point\n.*'smal'; did you mean 'small'?"):
+        linksweep.run(score, tmp_path / "s", when={"cut": {"net": ["smal"]}}, **more)
+    linksweep.run(score, tmp_path / "s", exclude=[{"net": {"in": ["smal", "RED"]}}], **more)
+    assert "exclude: no point has such a value of net: 'smal'" in caplog.text
+    linksweep.run(score, tmp_path / "when", when=when, **more)
+    declared = linksweep.experiment(outputs="score", when=when)(lambda net, cut=0.5: score(net, cut))
+    linksweep.run(declared, tmp_path / "declared", **more)
+    for store, numbers in {"exclude": {3.25, 3.75}, "when": {0.25, 0.75, 3.5}, "declared": {0.25, 0.75, 3.5}}.items():
+        found = {*linksweep.open(tmp_path / store).score.to_series().dropna()}
+        assert found == {n + width if n < 1 else n - width for n in numbers}
 
 
 def test_only_the_script_tries_failed_points_of_its_objects_again(here, sweep):
