@@ -5,6 +5,7 @@ errors that are shown to a user as sentences.
 
 import difflib
 import inspect
+import json
 import math
 import pickle
 import re
@@ -215,6 +216,10 @@ def bound_in_words(raw: object) -> str:
     return f", below {HUGE:g} in size" if is_huge else ""
 
 
+def _is_finite(value: object) -> bool:
+    return not isinstance(value, float) or math.isfinite(value)
+
+
 class Function(Protocol):
     """A function from a user's module or file, by its name and the digest of its source."""
 
@@ -304,6 +309,7 @@ class Parameter:
         optional: whether None is a value, too.
         when: the values of other parameters with which this one has an effect, ``{"kernel": ("rbf",)}``; where it has
             none, a grid has one point in which it is missing.
+        finite: whether NaN and infinities are refused.  They are objects, as parameters of plain functions take them.
     """
 
     name: str
@@ -322,6 +328,11 @@ class Parameter:
     required: bool = False
     optional: bool = False
     when: Mapping[str, Sequence[Any]] = field(default_factory=dict)
+    finite: bool = True
+
+    def __hash__(self) -> int:
+        """Return a hash, which `typing.Optional` of an annotation with a parameter needs."""
+        return hash(self.name)
 
     @property
     def may_be_axis(self) -> bool:
@@ -356,9 +367,9 @@ class Parameter:
             return self._plain(value)
         if self.takes_objects or value in self.defined:
             return value
-        # A member of an enumeration of numbers or texts is one where only these are allowed.
+        # A member of an enumeration of numbers or texts is one where only these are allowed, infinity is itself.
         is_member = isinstance(value.value, int | float | str) and type(value.value) not in (bool, int, float, str)
-        return self._plain(value.value if is_member else value)
+        return self._plain(value.value if is_member or not _is_finite(value.value) else value)
 
     def _object(self, raw: Any) -> Any:
         """Return the object with a label that ``raw`` is or names, ``raw`` itself where it is none."""
@@ -401,18 +412,22 @@ class Parameter:
         if not isinstance(value, Named):
             return value
         is_list = isinstance(value.value, list) and all(type(one) in (bool, int, float, str) for one in value.value)
-        return value.name if self.kind == "str" else value.value if is_list else {LABEL: value.name}
+        is_itself = is_list or (not _is_finite(value.value) and value.name == repr(value.value))
+        return value.name if self.kind == "str" else value.value if is_itself else {LABEL: value.name}
 
-    def _number(self, raw: object, whole: bool | None = None) -> float:
+    def _number(self, raw: Any, whole: bool | None = None) -> Value:
         whole = self.kind == "int" if whole is None else whole
-        if isinstance(raw, int | float) and not isinstance(raw, bool) and abs(raw) < HUGE:  # refuses NaN too
+        is_beyond = not (self.finite or whole or _is_finite(raw))
+        if is_beyond or (isinstance(raw, int | float) and not isinstance(raw, bool) and abs(raw) < HUGE):
             if whole and abs(raw) > LARGEST_INT:
                 raise self._refused(raw, ", below 2**63 in size")
             number = float(raw) + 0.0  # no negative zero: it would be another point
-            low = self.minimum is not None and number < self.minimum
-            low |= self.above is not None and number <= self.above
-            high = self.maximum is not None and number > self.maximum
-            if not low and not high and (not whole or number.is_integer()):
+            allowed = self.minimum is None or number >= self.minimum  # no NaN is
+            allowed &= self.above is None or number > self.above
+            allowed &= self.maximum is None or number <= self.maximum
+            if allowed and is_beyond:
+                return Named(text := repr(number), json.dumps({"value value": text}), number)
+            if allowed and (not whole or number.is_integer()):
                 return int(raw) if whole else number
         raise self._refused(raw)
 
@@ -422,7 +437,9 @@ class Parameter:
             ends = ":".join(filter(None, between.groups()))
             number = "" if self.kind == "int" else f", or a number of values, as {ends}:log5"
             more = f"; several are 1,2,3; a range has a step, as {ends}:{1 if self.kind == 'int' else 0.5}{number}"
-        return ValueError(f"{self.name} = {shown(raw)}: must be {self.allowed()}{more or bound_in_words(raw)}")
+        more = more or bound_in_words(raw)
+        label = "; beyond that under a label, {'label': value}" if more and self.takes_objects else ""
+        return ValueError(f"{self.name} = {shown(raw)}: must be {self.allowed()}{more}{label}")
 
     def _known(self) -> tuple[Any, ...]:
         return (*self.choices, *(named.name for named in self.defined))
@@ -550,7 +567,7 @@ def parameter_problems(parameter: Parameter) -> Iterator[str]:
     ):
         example = '{"kernel": ["rbf"]}, with other parameters and a list of values of each'
         yield f"when = {shown(parameter.when)}: must be like {example}"
-    elif parameter.default is not None:
+    elif parameter.default is not None and not isinstance(parameter.default, Named):
         try:
             parameter.parse(parameter.written_default())
         except (ValueError, TypeError) as error:

@@ -173,10 +173,10 @@ def _parameter(argument: inspect.Parameter, names: Mapping[str, Any]) -> Paramet
     default = None if required else argument.default
     if isinstance(default, np.generic):
         default = default.item()
-    noted = Parameter(name)
+    inside = (note for one in (annotation, *get_args(annotation)) for note in getattr(one, "__metadata__", ()))
+    noted = next((note for note in inside if isinstance(note, Parameter)), Parameter(name))
     if get_origin(annotation) is Annotated:
-        annotation, *notes = get_args(annotation)
-        noted = next((note for note in notes if isinstance(note, Parameter)), noted)
+        annotation = get_args(annotation)[0]
     kind: Kind | None
     choices: tuple[Any, ...] = ()
     if annotation is argument.empty:
@@ -190,18 +190,16 @@ def _parameter(argument: inspect.Parameter, names: Mapping[str, Any]) -> Paramet
         kind, default, optional = "object" if annotation is argument.empty else kind, None, False
     if kind == "float" and type(default) is int:  # the digest of a point with 1 would differ from that with 1.0
         default = float(default)
+    beyond = rules.HUGE if kind == "float" or type(default) is float else 2**63
+    if isinstance(default, int | float) and beyond <= abs(default) < np.inf:
+        default, optional = None, False
     meaning = noted.meaning or (noted.name if noted.name != name else "") or name.replace("_", " ")
     choices = choices or noted.choices
-    return replace(
-        noted,
-        name=name,
-        kind=kind,
-        default=default,
-        meaning=meaning,
-        choices=choices,
-        required=required,
-        optional=optional,
-    )
+    made = replace(noted, name=name, kind=kind, meaning=meaning, choices=choices, optional=optional, finite=False)
+    if isinstance(default, float) and not np.isfinite(default):
+        with suppress(ValueError):  # which is said beside other problems of the parameter
+            default = made.parse(default)
+    return replace(made, default=default, required=required)
 
 
 def _annotation(argument: inspect.Parameter, names: Mapping[str, Any]) -> Any:
@@ -224,6 +222,8 @@ def _kind(annotation: Any) -> tuple[Kind | None, tuple[Any, ...]]:
         args = annotation.__constraints__ or (annotation.__bound__ or Any,)
     elif hasattr(annotation, "__supertype__"):
         args = (annotation.__supertype__,)
+    if origin is Annotated:
+        return _kind(args[0])
     if origin is Literal:
         choices = tuple(one for one in args if one is not None)
         kinds = {KINDS.get(type(choice)) for choice in choices}

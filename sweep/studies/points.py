@@ -739,9 +739,11 @@ def compared(parameter: Parameter, raw: Any) -> Value:
     Raises ValueError as `Parameter.parse`.
     """
     refuse_quantity(raw, parameter)
-    if not parameter.takes_objects or type(raw) in (bool, int, float, str, type(None)):
-        return raw if parameter.takes_objects and isinstance(raw, str) else parameter.parse(raw)
-    return content_digest(raw if isinstance(raw, Named) else labelled(raw, "object"))
+    if parameter.takes_objects and type(raw) is str:
+        return raw
+    is_object = parameter.takes_objects and type(raw) not in PLAIN_TYPES
+    value = parameter.parse(labelled(raw, "object") if is_object else raw)
+    return content_digest(value) if isinstance(value, Named) and parameter.kind != "str" else value
 
 
 def with_default_objects(experiment: Experiment) -> Experiment:

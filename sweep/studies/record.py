@@ -134,7 +134,7 @@ def _made(kind: Any, stored: Mapping[str, Any]) -> Any:
     values = {name: _tuples(value) for name, value in stored.items() if name in known}
     if "defined" in values:
         values["defined"] = tuple(Named(name, identity, Unknown) for name, identity in values["defined"])
-    if values.get("kind", "any") in ("any", "object") and isinstance(values.get("default"), tuple):
+    if values.get("kind", "any") in ("any", "object", "float") and isinstance(values.get("default"), tuple):
         values["default"] = Named(values["default"][0], values["default"][1], Unknown)
     return kind(**({"default": None} if kind is Parameter else {}) | values)
 

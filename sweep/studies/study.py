@@ -129,8 +129,10 @@ class Condition:
         """Return whether a parameter's value meets the condition."""
         if self.among is not None:
             return not self._among.isdisjoint(_names(value))
+        value = value.value if isinstance(value, Named) else value
         return (
-            is_number(value)
+            isinstance(value, int | float)
+            and type(value) is not bool
             and (self.above is None or value > self.above)
             and (self.below is None or value < self.below)
         )
