@@ -43,7 +43,7 @@ def several(
     order: Literal[1, 2] = 1,
     damped: bool = False,
     name: str = "x",
-    shift: float | None = None,
+    shift: Annotated[float, Parameter("shift", unit="m")] | None = None,
     factor=0.5,
     anything=None,
     options: dict = {},  # noqa: B006
@@ -60,7 +60,8 @@ def test_name_type_default_unit_meaning_and_bounds():
     }
     beta = parameters["beta"]
     assert (beta.required, beta.meaning, beta.unit, beta.above) == (True, "contact rate", "1/d", 0)
-    assert (parameters["solver"].choices, parameters["n"].default) == (("RK45", "LSODA"), 1000)
+    solver, shift = parameters["solver"], parameters["shift"]
+    assert (solver.choices, parameters["n"].default, shift.unit) == (("RK45", "LSODA"), 1000, "m")
     study = load_study(f"{__file__}:several", ["order=2", f"n={2**53 + 1}", "shift=0.5", "factor=2"], ["beta=1"])
     assert dict(study.fixed) == {"order": 2, "n": 2**53 + 1, "shift": 0.5, "factor": 2.0}
     for name, wrong in (("order", "3"), ("order", "true"), ("solver", "RK"), ("n", "0.5"), ("n", 2**63), ("beta", "0")):

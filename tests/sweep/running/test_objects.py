@@ -5,7 +5,7 @@ import enum
 import itertools
 import json
 from collections import ChainMap
-from dataclasses import dataclass
+from dataclasses import make_dataclass
 from pathlib import Path
 
 import numpy as np
@@ -22,18 +22,10 @@ from tests.tiers import examples, slow
 
 PLAIN = st.one_of(st.none(), st.booleans(), st.floats(1, 9), st.text("abc", max_size=3))
 WRONG = ({"gam": {"kernel": ["rbf"]}}, {"gamma": {"kernl": ["rbf"]}}, {"gamma": {"kernel": "rbf"}}, {"gamma": ["rbf"]})
+RFB = {"gamma": {"kernel": ["rfb"]}}
 NUMBERS = st.lists(st.sampled_from([1, 2, 3, 1.0, 2.0, 2.5]), min_size=1, unique=True)
 ROWS = np.array([[0.0, 1.0], [2.0, 3.0]])
-
-
-class Colour(enum.Enum):
-    RED = 1
-    BLUE = 2
-
-
-@dataclass(frozen=True)
-class Size:
-    width: int
+Colour, Size = enum.Enum("Colour", "RED BLUE"), make_dataclass("Size", ["width"], frozen=True)
 
 
 class Net:
@@ -154,6 +146,17 @@ def test_what_may_be_none_can_be_none(tmp_path, sweep):
     assert sweep("reproduce", "s.zarr", "--at", "a=None,b=3,name=true,s=None", cwd=tmp_path)[0] == 0
 
 
+def test_infinity_and_nan_are_values_of_functions_and_large_defaults_are_left_as_they_are(tmp_path, sweep):
+    text = "def f(x: float = 1.0, p: float = float('inf'), q=float('nan'), n=2**70):\n    return repr((x, p, q, n))\n"
+    (tmp_path / "m.py").write_text(text)
+    for axis in ("x=2,3", "p=1,inf,nan", "q=inf"):
+        sweep("run", "m.py:f", "--axis", axis, "--exclude", "p>1,x=3", "-o", "s.zarr", "-q", cwd=tmp_path, code=0)
+    found = {*linksweep.open(tmp_path / "s.zarr").f.to_series()} - {""}
+    values = [(2.0, "inf", "nan"), (1.0, "1.0", "nan"), (1.0, "inf", "nan"), (1.0, "nan", "nan"), (1.0, "inf", "inf")]
+    assert found == {f"({x}, {p}, {q}, {2**70})" for x, p, q in values}
+    assert "every bit" in sweep("reproduce", "s.zarr", "--at", "x=1,p=nan,q=nan", cwd=tmp_path)[2]
+
+
 def test_another_object_under_a_label_of_the_store_is_refused(tmp_path):
     def run(width, **more):
         axes = {"net": {"small": Net(width), "big": Net(80)}}
@@ -210,14 +213,14 @@ def test_values_without_effect_are_on_no_axis_and_none_is_one_of_its_own(tmp_pat
         assert ds.g.values.ravel().tolist() == ["('None', 'None')"]
 
 
-@pytest.mark.parametrize("when", [*WRONG, "gamma", {"gamma": {"kernel": []}}, {"gamma": {"gamma": [1.0]}}])
+@pytest.mark.parametrize("when", [*WRONG, "gamma", {"gamma": {"kernel": []}}, {"gamma": {"gamma": [1.0]}}, RFB])
 def test_a_condition_that_means_nothing_is_refused(tmp_path, when):
     def fit(kernel: str = "rbf", gamma: float = 1.0):
         return gamma
 
-    with pytest.raises(SweepError, match="when"):
-        linksweep.run(linksweep.experiment(when=when)(fit), tmp_path / "s.zarr", axes={"kernel": ["rbf"]})
-    assert not (tmp_path / "s.zarr").exists()
+    with pytest.raises(SweepError, match="did you mean 'rbf'" if when is RFB else "when"):
+        linksweep.run(linksweep.experiment(when=when)(fit), tmp_path / "s", axes={"kernel": ["rbf"], "gamma": [1.0]})
+    assert not (tmp_path / "s").exists()
 
 
 @pytest.mark.parametrize("pool", [None, "serial", "threads", "processes"])
@@ -294,39 +297,28 @@ def test_conditions_of_any_depth_hold_at_each_point_wherever_its_values_come_fro
             linksweep.run(runs[1][0] | {"experiment": chained, "when": {**when, "b": {"a": ["w"]}}}, store)
 
 
-@pytest.mark.parametrize("axis", [[0, False, 1, True, "no"], [True, 1], [1.0, False]])
-def test_conditions_tell_truth_values_from_numbers(tmp_path, axis):
+LABELS = {"RED": Colour.RED, "sin": np.sin, "(1, 'a')": (1, "a")}
+
+
+@pytest.mark.parametrize("axis", [[0, False, 1, True, "no"], [True, 1], [1.0, False], [*LABELS.values()]])
+def test_conditions_tell_values_from_others_that_are_alike_and_objects_by_their_labels_too(tmp_path, axis):
     rows = linksweep.run(lambda k: repr(k) + "", tmp_path / "t", points={"k": [*axis, axis[0]]}, pool="serial")
     assert rows.result.values.tolist() == list(map(repr, [*axis, axis[0]]))
-    for number, value in enumerate(axis):
+    for number, named in enumerate([*axis, *LABELS] if axis[0] is Colour.RED else axis):
+        value = LABELS.get(named, named)
         others = {repr(one) for one in axis if repr(one) != repr(value)}
-        axes, store = {"k": axis, "g": [2.0, 3.0]}, tmp_path / str(number)
-        ds = linksweep.run(lambda k: repr(k) + "", store, axes={"k": axis}, exclude=[{"k": value}], pool="serial")
+        axes, store, when = {"k": axis, "g": [2.0, 3.0]}, tmp_path / str(number), {"g": {"k": [named]}}
+        ds = linksweep.run(lambda k: repr(k) + "", store, axes={"k": axis}, exclude=[{"k": named}], pool="serial")
         assert {*ds.result.values[ds.status.values == 1]} == others
-        store, when = tmp_path / f"w{number}", {"g": {"k": [value]}}
-        ds = linksweep.run(lambda k, g=0.5: f"{k!r} {g}", store, axes=axes, when=when, pool="serial")
-        expected = {f"{one} 0.5" for one in others} | {f"{value!r} {g}" for g in axes["g"]}
-        assert {*ds.result.values[ds.status.values == 1]} == expected
-
-
-@pytest.mark.parametrize("named", [Net(1), "small", Colour.RED, "RED"])
-def test_conditions_name_an_object_by_itself_or_its_label_and_a_misspelt_one_is_told(tmp_path, named):
-    def score(net, cut=0.5):
-        return cut + getattr(net, "width", 2)
-
-    more = {"axes": {"net": {"small": Net(1), "RED": Colour.RED}, "cut": [0.25, 0.75]}, "pool": "serial"}
-    when, width = {"cut": {"net": [named]}}, 2 if named in ("RED", Colour.RED) else 1
-    linksweep.run(score, tmp_path / "exclude", exclude=[{"net": named}], **more)
-    with pytest.raises(SweepError, match=r"cut has an effect at no point\n.*'smal'; did you mean 'small'?"):
-        linksweep.run(score, tmp_path / "s", when={"cut": {"net": ["smal"]}}, **more)
-    ds = linksweep.run(score, tmp_path / "s", exclude=[{"net": {"in": ["smal", "RED"]}}], **more)
-    assert "exclude: no point has such a value of net: 'smal'" in ds.warnings
-    linksweep.run(score, tmp_path / "when", when=when, **more)
-    declared = linksweep.experiment(outputs="score", when=when)(lambda net, cut=0.5: score(net, cut))
-    linksweep.run(declared, tmp_path / "declared", **more)
-    for store, numbers in {"exclude": {3.25, 3.75}, "when": {0.25, 0.75, 3.5}, "declared": {0.25, 0.75, 3.5}}.items():
-        found = {*linksweep.open(tmp_path / store).score.to_series().dropna()}
-        assert found == {n + width if n < 1 else n - width for n in numbers}
+        declared = linksweep.experiment(when=when)(lambda k, g=0.5: f"{k!r} {g}")
+        for how, function in enumerate((declared, lambda k, g=0.5: f"{k!r} {g}")):
+            store = tmp_path / f"{number}w{how}"
+            linksweep.run(function, store, axes=axes, pool="serial", **({"when": when} if how else {}))
+            ds, expected = (
+                linksweep.open(store),
+                {f"{one} 0.5" for one in others} | {f"{value!r} {g}" for g in axes["g"]},
+            )
+            assert {*ds.result.values[ds.status.values == 1]} == expected
 
 
 def test_only_the_script_tries_failed_points_of_its_objects_again(here, sweep):
