@@ -46,7 +46,7 @@ class GridPoint:
 
 class Grid:
     """The points of a study.  The dimension of a table of points comes first, then the axes in their order; zipped axes
-    share the dimension of the first of them.  ``warnings`` are those of the experiment, if `make_grid` has asked it.
+    share one (`Study.dimensions`).  ``warnings`` are those of the experiment, if `make_grid` has asked it.
 
     ``dimensions`` has the axes along each dimension, ``shape`` its length, ``rows`` the values at each place along it,
     one for each of its axes.

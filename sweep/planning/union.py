@@ -4,9 +4,10 @@ shows; and what rounds of refinement have added, as a store records them.
 
 import json
 import math
-from collections import Counter, defaultdict
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import count
 from typing import Any
 
 import numpy as np
@@ -97,11 +98,9 @@ def united(stored: Study, asked: Study, in_ledger: Collection[bytes] = (), *, is
     rows = _crossed([(theirs, was, kept, idle), (mine, now, {}, mine.idle(mine.indices()))], changed)
     points = tables[0] if tables else None
     are_lost = any(one.labels and {*one.names} != {*tables[0].names} for one in tables)
-    axes, table = _columns(rows), () if points is None else points.names
-    # no values of an axis do
-    repeat = any(len({*map(sorted_json, some)}) < len(some) for name, some in axes.items() if name not in table)
+    repeat = _repeat(rows, () if points is None else points.names, theirs, mine)
     is_sparse = math.prod(map(len, rows.values())) > _most_places(len(places) + len(mine))
-    is_table = are_lost or repeat or not _is_crossed(theirs, mine) or is_sparse
+    axes, is_table = _columns(rows), are_lost or repeat or not _is_crossed(theirs, mine) or is_sparse
     if is_table or Grid(replace(asked, axes=axes, zipped=tuple(rows), points=points)).divided:
         names = tuple(dict.fromkeys([*stored.axes, *asked.axes, *changed]))
         old = [tuple({**was, **p.parameters}[name] for name in names) for p in theirs.points(theirs.repeated(places))]
@@ -141,6 +140,18 @@ def _most_places(points: int) -> int:
     return max(SMALL, min(MAX_POINTS, SPARSEST * points, points + MOST_LEFT_OUT))
 
 
+def _repeat(rows: Rows, table: tuple[str, ...], *grids: Grid) -> bool:
+    """Return whether values of an axis repeat, or rows of a ``table`` along more places of other axes than in a grid
+    that has them.
+    """
+    axes = _columns({names: some for names, some in rows.items() if names != table})
+    along = math.prod(len(some) for names, some in rows.items() if names != table)
+    doubled = [one.rows[POINT] for one in grids if len(one) < along * len(one.rows.get(POINT, ()))]
+    return any(
+        turn for some in (*([(v,) for v in some] for some in axes.values()), *doubled) for _, turn in _keys(some)
+    )
+
+
 def _columns(rows: Rows) -> dict[str, tuple[Value, ...]]:
     """Return the values along the dimension of each axis."""
     return {n: column for names, some in rows.items() for n, column in zip(names, zip(*some, strict=True), strict=True)}
@@ -168,22 +179,21 @@ def _labels(columns: Mapping[str, Sequence[Value]], *studies: Study) -> dict[str
     study that has some.  Rows that repeat keep theirs in their order.
     """
     labels: dict[str, list[Any]] = {}
-    rows = _keys(columns, list(columns))
+    turns = [turn for _, turn in _keys(zip(*columns.values(), strict=True))]
     for study, points in ((study, study.points) for study in studies if study.points and study.points.labels):
-        places, seen = defaultdict[str, list[int]](list), Counter[str]()
-        for place, key in enumerate(_keys(study.axes, points.names)):
-            places[key].append(place)
-        for row, (key, whole) in enumerate(zip(_keys(columns, points.names), rows, strict=True)):
-            some, turn = places.get(key, ()), seen[whole]
-            seen[whole] += 1
-            for name, cells in points.labels.items():
-                column = labels.setdefault(name, [None] * len(rows))
-                column[row] = cells[some[turn]] if turn < len(some) else column[row]
+        theirs, ours = (_keys(zip(*(some[n] for n in points.names), strict=True)) for some in (study.axes, columns))
+        places = dict(zip(theirs, range(len(theirs)), strict=True))
+        known = [places.get((key, turn)) for (key, _), turn in zip(ours, turns, strict=True)]
+        for name, cells in points.labels.items():
+            before = labels.get(name, [None] * len(turns))
+            labels[name] = [b if k is None else cells[k] for k, b in zip(known, before, strict=True)]
     return {name: labels_of(cells) for name, cells in labels.items()}
 
 
-def _keys(columns: Mapping[str, Sequence[Value]], names: Sequence[str]) -> list[str]:
-    return [sorted_json(list(row)) for row in zip(*(columns[name] for name in names), strict=True)]
+def _keys(rows: Iterable[Row]) -> list[tuple[str, int]]:
+    """Return what tells rows apart: their values, and how many before have the same."""
+    seen = defaultdict[str, Iterator[int]](count)
+    return [(key, next(seen[key])) for key in (sorted_json(list(row)) for row in rows)]
 
 
 def _is_crossed(theirs: Grid, mine: Grid) -> bool:
@@ -220,10 +230,10 @@ def _crossed(
 
 def _joined(old: list[Row], new: list[Row]) -> list[Row]:
     """Return the rows of both: those of one that has all in its order, else in ascending order if they are numbers."""
-    known = [{sorted_json(list(row)) for row in rows} for rows in (old, new)]
-    if known[0] <= known[1]:
+    known, keys = {*_keys(old)}, _keys(new)
+    if known.issubset(keys):
         return new
-    added = [row for row in new if sorted_json(list(row)) not in known[0]]
+    added = [row for row, key in zip(new, keys, strict=True) if key not in known]
     joined = [*old, *added]
     if added and all(len(row) == 1 and type(row[0]) in (int, float) for row in joined):
         joined.sort()

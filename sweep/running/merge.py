@@ -77,9 +77,9 @@ def merge(places: Sequence[Where], into: Where, *, accept_code: bool = False, tr
     _require_alike(sources, accept_code)
     place, part = located(into), sources[0].study.part
     experiment = replace(_experiment(sources), parameters=sources[0].study.experiment.parameters)
-    study = replace(sources[0].study, experiment=experiment, part=None)
+    study = replace(sources[-1].study, experiment=experiment, part=None)
     digests = {key[DIGEST] for source in sources for key in source.keys}.union(*(source.failed for source in sources))
-    for source in sources[1:] if part is None else ():
+    for source in reversed(sources[:-1]) if part is None else ():
         study = united(source.study, study, digests)
     about = _about(sources)
     origin = {MERGED: json.dumps(about)}

@@ -227,14 +227,11 @@ def place_of(study: Study, at: str, where: str) -> tuple[dict[str, Any], dict[st
     if problems:
         raise SweepError(problems, where)
     grid = Grid(study)
-    # The row of a table has values also where they have no effect.
-    row = study.points.names if study.points and POINT in texts else ()
-
-    def is_meant(point: dict[str, Any]) -> bool:
-        others = [name for name, value in wanted.items() if is_other(value, point[name])]
-        return not others or {*row}.intersection(study.missing(point)).issuperset(others)
-
-    there = [index for index, point in grid.parameters() if is_meant(point)]
+    there = [
+        index
+        for index, point in grid.parameters()
+        if not any(is_other(value, point[name]) for name, value in wanted.items())
+    ]
     if not there:
         raise SweepError(f"--at {shown(at)}: the study has no point with these values", where)
     along = dict(zip(grid.dimensions, np.unravel_index(there, grid.shape) if grid.shape else (), strict=True))
@@ -249,12 +246,19 @@ def place_of(study: Study, at: str, where: str) -> tuple[dict[str, Any], dict[st
 
 
 def _on_axis(study: Study, name: str, text: str) -> dict[str, Any]:
-    """Return the value on an axis that a text names, or those of a row of a table, from 0; raises ValueError."""
-    if name == POINT and study.points is not None:
-        rows = len(study.axes[study.points.names[0]])
-        if not text.isdecimal() or int(text) >= rows:
-            raise ValueError(f"{POINT} = {shown(text)}: must be the number of a point, from 0 to {rows - 1}")
-        return {axis: study.axes[axis][int(text)] for axis in study.points.names}
+    """Return the value on an axis that a text names, or those of a row, by number or label; raises ValueError."""
+    if study.points is not None and name in (POINT, *study.points.labels):
+        rows = [*zip(*(study.axes[axis] for axis in study.points.names), strict=True)]
+        cells = study.points.labels.get(name, range(len(rows)))
+        value = parse_value(text, is_text=isinstance(cells[0], str))
+        named = {row: number for number, row in enumerate(rows) if not is_other(cells[number], value)}
+        if len(named) != 1:
+            several = (
+                f"is {len(named)} points; name one by {POINT}, such as {first_of(list(named.values()), MOST_NAMED)}"
+            )
+            known = f"is none of {first_of(plain(list(dict.fromkeys(cells))), MOST_NAMED)}"
+            raise ValueError(f"{name} = {shown(text)}: {several if named else known}")
+        return dict(zip(study.points.names, *named, strict=True))
     if name not in study.axes:
         raise ValueError(f"{name}: is not an axis{suggest(name, list(study.axes))}")
     parameter = study.experiment.parameter(name)

@@ -329,7 +329,7 @@ def _coordinates(grid: Grid) -> dict[str, Variable]:
         for name, along in zip(axes, zip(*grid.rows[dimension], strict=True), strict=True):
             parameter = experiment.parameter(name)
             blank = NO_EFFECT if name in study.alone or name not in study.when else None
-            missing = [one is blank for one in along] if blank or name == dimension else grid.without(name) == 1.0
+            missing = [one is blank for one in along] if blank else grid.without(name) == 1.0
             kinds = {type(value) for value, is_missing in zip(along, missing, strict=True) if not is_missing}
             is_text = parameter.kind == "str" or not (kinds <= {int, float} or kinds == {bool})
             values = [

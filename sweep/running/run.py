@@ -152,6 +152,7 @@ def with_stored(store: Store, study: Study, only: bool = False) -> tuple[Study, 
     study = with_numbers_of(stored, study)
     if only:
         return study, study, None
+    check_points(stored, study, where)
     digests = {key[:DIGEST_BYTES] for key in store.rows} | store.failures.keys()
     is_complete = bool(attributes.get("complete")) and attributes.get(BLOCKS) == len(store.rows)
     try:
@@ -280,12 +281,16 @@ def identity(study: Study) -> dict[str, Any]:
 
 
 def study_differences(attributes: Mapping[str, Any], study: Study, keep: bool = False) -> list[str]:
-    """Say how the meaning of stored results differs from a study's; values of parameters that are an axis in either are
-    not compared, and with ``keep`` neither are those of other parameters that may be one.
+    """Say how the meaning of stored results differs from a study's; values of parameters that are an axis in either, or
+    have another default now (see `check_code`), are not compared, and with ``keep`` neither are those that may be axes.
     """
     old, new = json.loads(attributes["study_meaning"]), json.loads(identity(study)["study_meaning"])
     axes = {*json.loads(attributes["study_axes"]), *study.varying}
-    axes |= {one.name for one in study.experiment.parameters if keep and one.may_be_axis}
+    code = records[-1]["code"] if (records := records_of(attributes)) else {}
+    for one in study.experiment.parameters:
+        text = json.dumps(one.written_default(), default=str)
+        if (keep and one.may_be_axis) or code.get(f"default of {one.name}", text) != text:
+            axes.add(one.name)
     defaults = json.loads(json.dumps(study.experiment.defaults(), default=content_digest))
     pairs = [(key, old.get(key, "absent"), new.get(key, "absent")) for key in sorted({*old, *new} - {"fixed"})]
     pairs += [
@@ -299,34 +304,31 @@ def _differing(pairs: Mapping[str, tuple[Any, Any]]) -> list[str]:
     return [f"{key}: {was!r} in the store, {now!r} in the study" for key, (was, now) in pairs.items() if was != now]
 
 
-def check_points(opened: OpenStore, study: Study) -> None:
+def check_points(stored: Study, study: Study, where: str) -> None:
     """Raise SweepError where rows of a study's table of points differ from those of a store: it may only have more rows
     at its end.
     """
-    document = json.loads(opened.attributes.get("study_document", "{}"))
-    table = document.get("points") or {}
-    old: dict[str, list[Any]] = table.get("columns", {})
-    if study.points is None or not old or UNITED in table.get("origin", {}):
+    before, points = stored.points, study.points
+    if before is None or points is None or UNITED in before.origin:
         return
-    names = [name for name in dict.fromkeys([*old, *study.points.names]) if name not in table.get("labels", ())]
-    settings = {one.name: one.written(one.default) for one in study.experiment.parameters}
-    crossed = {*document.get("axes", ()), *study.axes} - {*study.points.names}
-    if not {*names} <= settings.keys() - crossed:  # one is an axis, or no parameter any more: points are joined as such
+    names, known = dict.fromkeys([*before.names, *points.names]), {one.name: one for one in study.experiment.parameters}
+    crossed = (stored.axes.keys() - {*before.names}) | (study.axes.keys() - {*points.names})
+    if not {*names} <= known.keys() - crossed:  # one is an axis, or no parameter any more: points are joined as such
         return
-    rows = min(len(next(iter(old.values()))), len(study.axes[study.points.names[0]]))
-    was = {name: old.get(name) or rows * [document.get("fixed", {}).get(name, settings[name])] for name in names}
-    values = {**study.experiment.defaults(), **study.fixed}
-    now = {name: study.axes.get(name) or rows * [values[name]] for name in names}
-    now = {name: list(map(study.experiment.parameter(name).written, now[name])) for name in names}
+    rows = min(len(stored.axes[before.names[0]]), len(study.axes[points.names[0]]))
+    was, now = (
+        {n: [*map(known[n].written, one.axes.get(n) or rows * [one.fixed.get(n, known[n].default)])] for n in names}
+        for one in (stored, study)
+    )
     changed = next(((i, n) for i in range(rows) for n in names if was[n][i] != now[n][i]), None)
     if changed is not None:
         row, name = changed
         pairs = {f"points, row {row + 1}, {name}": (was[name][row], now[name][row])}
-        for key, before in table.get("origin", {}).items():
+        for key, one in before.origin.items():
             if key in ("design", "n", "seed", "ranges"):
-                pairs[f"points.{key}"] = before, study.points.origin.get(key)
+                pairs[f"points.{key}"] = one, points.origin.get(key)
         rule = "a table may only grow at its end: give another store with -o, or --fresh replaces this one"
-        raise SweepError([f"holds a table of other points; {rule}", *_differing(pairs)], str(opened.location))
+        raise SweepError([f"holds a table of other points; {rule}", *_differing(pairs)], where)
 
 
 class Writer:
@@ -691,8 +693,6 @@ class Session:
         if opened is not None:
             study = whole = as_recorded(study, opened.attributes) if study.experiment.undeclared else study
             store = open_store(opened, study, writes)
-            if not beside.only:
-                check_points(opened, study)
             study, whole, wanted = with_stored(store, study, beside.only)
             records = again_where(store, whole, beside.redo) if beside.redo else {}
             check_code(store, study, records, accept_code)

@@ -478,7 +478,7 @@ class _Reader:
             conclusion=checked.conclusion,
             text=self.text,
             overrides=tuple(f"{flag} {text}" for flag, text in self.options.written or ()),
-        )
+        ).settled()
         return replace(study, document=self._portable(form, study))
 
     def _conditions(

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from decimal import Decimal, InvalidOperation
 from functools import cached_property
-from itertools import count, groupby
+from itertools import chain, count, groupby, product
 from string import Formatter
 from typing import Annotated, Any, Literal, Self
 
@@ -798,10 +798,11 @@ class Study:
 
     @property
     def dimensions(self) -> dict[str, tuple[str, ...]]:
-        """The axes along each dimension, by the dimension's name: `POINT`, or the first of these axes."""
+        """The axes along each dimension, by its name: `POINT`, or the first of them that has an effect all along."""
         groups = [] if self.points is None else [(POINT, self.points.names)]
-        partner = {name: group for group in self.zipped for name in group}
-        groups += [(group[0], group) for group in (partner.get(name, (name,)) for name in self.axes)]
+        partner, partial = {name: group for group in self.zipped for name in group}, self.partial
+        zipped = (partner.get(name, (name,)) for name in self.axes)
+        groups += [(next((n for n in group if n not in partial), group[0]), group) for group in zipped]
         dimensions: dict[str, tuple[str, ...]] = {}
         for dimension, group in groups:
             if not any(group[0] in axes for axes in dimensions.values()):
@@ -862,6 +863,23 @@ class Study:
             if not all(one.holds(None if one.name in gone else parameters[one.name]) for one in conditions):
                 gone.append(name)
         return gone
+
+    def settled(self) -> "Study":
+        """Return the study with None in a table of points for the values that have no effect in their row."""
+        names = () if self.points is None else self.points.names
+        if {*names}.isdisjoint(self.partial):
+            return self
+        columns, constants = {name: [*self.axes[name]] for name in names}, self.experiment.defaults() | dict(self.fixed)
+        deciding = {one.name for conditions in self.when.values() for one in conditions}
+        crossed = [axes for name, axes in self.dimensions.items() if name != POINT and not deciding.isdisjoint(axes)]
+        rows = (zip(*(self.axes[n] for n in axes), strict=True) for axes in crossed)
+        along = [[[*zip(axes, row, strict=True)] for row in some] for axes, some in zip(crossed, rows, strict=True)]
+        others = [constants | dict(chain(*some)) for some in product(*along)]
+        for number, row in enumerate(zip(*columns.values(), strict=True)):
+            point = dict(zip(names, row, strict=True))
+            for name in {*names}.intersection(*(self.missing(other | point) for other in others)):
+                columns[name][number] = None
+        return replace(self, axes={**self.axes, **{name: tuple(column) for name, column in columns.items()}})
 
     def arguments(self, parameters: dict[str, Any]) -> dict[str, Any]:
         """Return what the experiment gets at a point: the defaults of parameters that are missing."""

@@ -150,9 +150,10 @@ def test_points_at_a_default_are_never_taken_for_those_at_another(tmp_path, swee
         return sweep(*(["run", "m.py:f"] if more[0] == "--axis" else []), *more, cwd=tmp_path)
 
     assert run(2, "--axis", "x=1,2", "--axis", "z=2,3", "-o", "s.zarr")[0] == 0
-    assert run(3, "--axis", "x=5", "-o", "t.zarr")[0] == 0
+    assert [run(z, "--axis", "x=5", "-o", store)[0] for z, store in ((2, "v.zarr"), (3, "t.zarr"))] == [0, 0]
     for command in (
         ["--axis", "x=1", "--set", "z=3", "-o", "s.zarr", "--accept-code"],
+        ["--axis", "x=1", "--set", "z=2", "-o", "v.zarr"],
         ["--axis", "x=1", "-o", "s.zarr", "--redo", "old"],
         ["--axis", "x=1", "-o", "s.zarr", "--only", "--accept-code"],
         ["merge", "s.zarr", "t.zarr", "-o", "u.zarr", "--accept-code"],

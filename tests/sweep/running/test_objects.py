@@ -181,7 +181,8 @@ def test_where_a_declared_parameter_has_no_effect_there_is_one_point_without_it(
     with pytest.raises(SweepError, match="gamma shares a dimension"):
         linksweep.run(zipped | {"axes": zipped["axes"] | {"kernel": kernels}}, tmp_path / "z.zarr")
     for kernel in kernels:  # together they are a table
-        linksweep.run(zipped | {"fixed": {"kernel": kernel}}, tmp_path / "z.zarr", pool="serial", keep=True)
+        ds = linksweep.run(zipped | {"fixed": {"kernel": kernel}}, tmp_path / "z.zarr", pool="serial", keep=True)
+        assert np.isnan(ds.gamma).all() == (kernel == "linear")
     np.testing.assert_array_equal(linksweep.open(tmp_path / "z.zarr").gamma, [np.nan, np.nan, *gammas])
     whole = linksweep.open(tmp_path / "s.zarr").fit
     for kernel, values in {"linear": [107.0], "rbf": [110.5, 111.0], "poly": [120.5, 122.0]}.items():

@@ -290,6 +290,20 @@ def test_merged_tables_with_values_that_repeat_keep_each_point_and_merge_again(t
     assert {*linksweep.open(tmp_path / "n").f.values.tolist()} == wanted
 
 
+def test_rows_in_which_a_value_has_no_effect_are_there_as_often_as_asked_for_and_keep_their_labels(here, sweep):
+    Path("m.py").write_text("def f(c: float, k='l', g: float = 1.0, n=0):\n    return c + g\n")
+    study = {"study": "m.py:f", "when": {"g": {"k": ["r"]}}, "pool": "serial"}
+    rows = {"c": [1, 2, 2], "k": ["r", "l", "l"], "g": [0.5, 0.7, 0.9]}
+    for axes in ({"c": [2.0, 7.0]}, {"c": [8.0], "n": [1, 2]}):
+        linksweep.run(**study, store="s", points={**rows, "who": ["A", "B", "C"]}, labels="who")
+        linksweep.run(**study, store="s", axes=axes)
+    linksweep.run(**study, store="t", points={**rows, "who": ["D", "E", "F"]}, labels="who")
+    merge(["s", "t"], "m")
+    for store, labels in (("s", "ABC"), ("m", "DEF")):
+        assert [*map(str, linksweep.open(store).who.values)] == [*labels, "", "", ""]
+    assert "every bit" in sweep("reproduce", "m", "--at", "who=D", code=0)[2]
+
+
 @pytest.mark.parametrize("order", [["a", "b"], ["b", "a"]])
 def test_stores_of_which_one_has_a_parameter_more_are_merged_whole(here, sweep, order):
     for more, name in (("", "a"), (", t: int = 5", "b")):
