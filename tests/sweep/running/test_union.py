@@ -265,15 +265,10 @@ def test_columns_of_a_table_may_come_in_another_order(here, sweep, first):
 
 @pytest.mark.parametrize("y", [[7.0, 6.0], [7.0, 8.0]])
 def test_zipped_axes_with_a_value_that_repeats_become_a_table(tmp_path, y):
-    def run(x, y):
-        axes = {"x": x, "y": y}
-        study = {"title": "z", "experiment": str(tmp_path / "m.py") + ":f", "axes": axes, "grid": {"zip": [["x", "y"]]}}
-        return linksweep.run(study, tmp_path / "s.zarr", pool="serial")
-
     (tmp_path / "m.py").write_text("def f(x: float, y: float):\n    return 10 * x + y\n")
-    for _ in range(2):
-        run([1.0, 2.0], [5.0, 6.0])
-        run([1.0, 3.0], y)
+    study = {"experiment": str(tmp_path / "m.py") + ":f", "grid": {"zip": [["x", "y"]]}}
+    for axes in 2 * [{"x": [1.0, 2.0], "y": [5.0, 6.0]}, {"x": [1.0, 3.0], "y": y}]:
+        linksweep.run(study | {"axes": axes}, tmp_path / "s.zarr", pool="serial")
     assert linksweep.open(tmp_path / "s.zarr").f.values.tolist() == [15.0, 26.0, 10.0 + y[0], 30.0 + y[1]]
 
 
@@ -283,8 +278,7 @@ def test_merged_tables_with_values_that_repeat_keep_each_point_and_merge_again(t
     experiment, stores, wanted = str(tmp_path / "m.py") + ":f", [], set[int]()
     for number in order:
         stores.append(tmp_path / f"{number}")
-        shown = linksweep.run(experiment, stores[-1], points=TABLES[number], pool="serial")
-        wanted |= {*shown.f.values.tolist()}
+        wanted |= {*linksweep.run(experiment, stores[-1], points=TABLES[number], pool="serial").f.values.tolist()}
     merge(stores, tmp_path / "m")
     merge([tmp_path / "m", *stores], tmp_path / "n")
     assert {*linksweep.open(tmp_path / "n").f.values.tolist()} == wanted
@@ -296,6 +290,7 @@ def test_rows_in_which_a_value_has_no_effect_are_there_as_often_as_asked_for_and
     rows = {"c": [1, 2, 2], "k": ["r", "l", "l"], "g": [0.5, 0.7, 0.9]}
     for axes in ({"c": [2.0, 7.0]}, {"c": [8.0], "n": [1, 2]}):
         linksweep.run(**study, store="s", points={**rows, "who": ["A", "B", "C"]}, labels="who")
+        linksweep.run(**study, store="s", points=rows)
         linksweep.run(**study, store="s", axes=axes)
     linksweep.run(**study, store="t", points={**rows, "who": ["D", "E", "F"]}, labels="who")
     merge(["s", "t"], "m")
