@@ -7,6 +7,7 @@ import importlib
 import inspect
 import logging
 import math
+import multiprocessing
 import os
 import signal
 import tempfile
@@ -35,7 +36,7 @@ from linksweep.sweep.contract import SweepError, shown, suggest
 from linksweep.sweep.executing.executor import KEEP_BYTES, ONE_THREAD, Children
 from linksweep.sweep.executing.pools import Limits, Place, Resources, available_cores
 from linksweep.sweep.executing.task import AnyJob, Call, Executor, Failure, Identity, Task, other_versions
-from linksweep.sweep.executing.worker import Deadlines, compute, set_environment
+from linksweep.sweep.executing.worker import Deadlines, compute, leave_signals_to_parent, set_environment
 from linksweep.sweep.interrupt import SIGNALS
 from linksweep.sweep.planning.accumulator import TASK_S, TASKS_IN_FLIGHT, task_seconds
 
@@ -46,9 +47,6 @@ ADAPT_WITHIN = "500ms"
 
 # Seconds that workers get to finish when a run is stopped.
 CLOSE_S = 0.5
-
-# Seconds that an interrupted run waits for what it has begun to start, so as to end it: usually less than one.
-UNDO_S = 5.0
 
 # Seconds between two looks whether a cluster has lost workers.
 REPLACE_EVERY_S = 5
@@ -241,15 +239,15 @@ def own_cluster(kind: Any, options: Mapping[str, Any]) -> Iterator[Any]:
 
 
 def _started(make: Callable[[], Any]) -> Any:
-    """Return the cluster that is made; its processes do not get SIGINT, SIGHUP and SIGTERM: a terminal or a batch
-    system sends these to every process, but only the client is to answer (distributed#1925).
+    """Return the cluster that is made; its processes do not get SIGINT and SIGHUP: a terminal sends these to every
+    process, but only the client is to answer (distributed#1925).  It ends by SIGTERM what Dask has not ended.
 
     Processes inherit the signal mask of the thread that starts them.  Here that is another thread, so that this one can
     be interrupted meanwhile: then what was begun is ended.
     """
 
     def start() -> Any:
-        signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+        signal.pthread_sigmask(signal.SIG_BLOCK, {*SIGNALS} - {signal.SIGTERM})
         return make()
 
     with ThreadPoolExecutor(1) as pool:
@@ -258,7 +256,7 @@ def _started(make: Callable[[], Any]) -> Any:
             return made.result()
         except BaseException:
             with suppress(Exception):
-                made.result(UNDO_S).close()
+                made.result().close()  # the pool would wait for it, too
             raise
 
 
@@ -439,7 +437,8 @@ class TaskPlugin(WorkerPlugin):
         self.deadlines = Deadlines()
         if getattr(worker, "nanny", None):  # a process of its own
             os.dup2(2, 1)  # standard output goes to standard error, also that of C code and of programs it starts
-            signal.pthread_sigmask(signal.SIG_UNBLOCK, [signal.SIGTERM])  # which an experiment may need
+            multiprocessing.current_process().daemon = False  # else a block could not use multiprocessing
+            leave_signals_to_parent()  # Dask would let the worker go, and every other one that then gets the block
 
     def teardown(self, worker: Any) -> None:
         """Lift the limit of one thread."""

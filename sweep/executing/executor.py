@@ -438,9 +438,7 @@ def _serve(channel: Connection, words: IO[bytes]) -> None:
     """Compute the tasks that come by a channel, and answer with results, and None at the end of each task."""
     import faulthandler
 
-    for number in (signal.SIGINT, signal.SIGHUP):  # only the parent answers; programs that a block starts may too
-        signal.signal(number, worker.ignored)
-    signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
+    worker.leave_signals_to_parent()
     for name in ONE_THREAD:
         os.putenv(name, "1")  # for libraries that a block loads; `os.environ` stays the user's
     with suppress(OSError, AttributeError):  # there is only one such allocator

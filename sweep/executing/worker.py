@@ -27,6 +27,7 @@ from linksweep.sweep.code import load_experiment
 from linksweep.sweep.contract import Experiment, Outcome, Point, SweepError, shown
 from linksweep.sweep.executing.task import Call, Captured, Failure, PointBlock, Task, TaskResult, TimeLimitError
 from linksweep.sweep.functions.results import layout_differences, same_value
+from linksweep.sweep.interrupt import SIGNALS
 from linksweep.sweep.planning.plan import generators_of
 
 # Characters and different warnings of one block that are kept.
@@ -176,6 +177,13 @@ def is_interruption(error: BaseException) -> bool:
 
 def ignored(*_signal: object) -> None:
     """Ignore a signal in this process, but not in the programs that it starts, as SIG_IGN would."""
+
+
+def leave_signals_to_parent() -> None:
+    """Let only the parent of this process answer SIGINT and SIGHUP; programs that a block starts may too."""
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, ignored)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
 
 
 def _set_filters(filters: list[Any]) -> None:

@@ -1,6 +1,7 @@
 """Workers of Dask: of a file's cluster, of a client of the user's, over TLS; and what is no place to run on."""
 
 import asyncio
+import multiprocessing
 import os
 import signal
 import socket
@@ -127,7 +128,10 @@ def test_a_client_computes_the_same_bits_and_goes_on_to_work(client, tmp_path):
     scale = 3.0
 
     def noise(x: float, rng):
-        """Known to this process alone: it travels by value."""
+        """Known to this process alone: it travels by value.  Worker processes of Dask bear what others do."""
+        if x == 0.0 and multiprocessing.parent_process():
+            signal.raise_signal(signal.SIGINT)
+            multiprocessing.Process(target=int).start()
         return scale * x + rng.normal() + float(Decimal(1) / 7)
 
     sampling = {"n_sim": 30, "seed": 4}
