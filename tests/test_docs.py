@@ -210,7 +210,7 @@ def test_the_batch_systems_of_the_document_get_their_jobs(tmp_path):
     for name, text in shown.items():
         (tmp_path / name).write_text(text)
         file = read_cluster_file(tmp_path / name)
-        with own_cluster(cluster_class(file), file.options) as cluster:
+        with own_cluster(cluster_class(file.class_name), file.options) as cluster:
             assert all(words in cluster.job_script() for words in said[name])
 
 

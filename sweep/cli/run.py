@@ -5,6 +5,7 @@ and real tables (tie, forecast and apply for a link, match for the galaxies amon
 
 import json
 import logging
+import re
 import shlex
 import subprocess
 import sys
@@ -79,8 +80,6 @@ def resources(
     dashboard: bool = flag("Give local workers Dask's dashboard; print its address."),
 ) -> Resources:
     """Return what to run on; raises click.UsageError for options that contradict each other."""
-    if workers is not None and pool is not None and not POOLS[pool].has_workers:
-        raise click.UsageError(f"--pool {pool} has no workers")
     tls = (tls_ca, tls_cert, tls_key) if tls_ca and tls_cert and tls_key else None
     if (tls_ca or tls_cert or tls_key) and (tls is None or not (scheduler or "").startswith("tls://")):
         raise click.UsageError("--tls-ca, --tls-cert and --tls-key go together, and with --scheduler tls://HOST:PORT")
@@ -579,8 +578,8 @@ def merge(
 
 
 # `afterany`: a part in which points fail ends with exit code 1.  A lock that is left over on another host is that of
-# an earlier try: SLURM runs a task once at a time.  The last of several options counts for sbatch: --array and
-# --dependency of the user are for the parts.
+# an earlier try: SLURM runs a task once at a time.  The last of several options counts for sbatch: --array,
+# --dependency, --output and --error of the user are for the parts.
 SCRIPT = """\
 #!/bin/sh
 # Submits {name} as a job array of {total} parts, and a job that merges them when all have ended.
@@ -590,7 +589,8 @@ array=$(sbatch --parsable --array=1-{total} --output={logs}/%A_%a.log {options} 
 exec {run} --part "$SLURM_ARRAY_TASK_ID/{total}" --workers "${{SLURM_CPUS_PER_TASK:-1}}" --break-lock
 END_OF_JOB
 )
-sbatch --output={logs}/merge-%j.log {options} --array=1 --dependency="afterany:${{array%%;*}}" <<'END_OF_JOB'
+log={logs}/merge-%j.log
+sbatch {options} --output="$log" --error="$log" --array=1 --dependency="afterany:${{array%%;*}}" <<'END_OF_JOB'
 #!/bin/bash
 exec {merge} -o {store} {parts}
 END_OF_JOB
@@ -615,6 +615,10 @@ def submit(
     from linksweep.sweep.running.merge import require_free
     from linksweep.sweep.stores.location import Folder, file_named
 
+    for array in re.findall(r"(?m)^(?:--array[=\n]|-a[=\n]?)(.*)", "\n".join(more)):
+        ends = re.split("[-,]", re.sub(":[0-9]+|%[0-9]+$", "", array))
+        if not all(end.isdecimal() and 1 <= int(end) <= tasks for end in ends):
+            raise linksweep.SweepError(f"--sbatch --array={array}: the parts are 1 to {tasks}; others would be lost")
     study, store = asked.load()
     make_grid(study)  # its mistakes are named here, not in a hundred logs
     require_free(store, study, [{"study_digest": study.digest(), "parts": tasks}])

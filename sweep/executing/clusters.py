@@ -27,7 +27,7 @@ from typing import Annotated, Any
 
 import dask
 from distributed import Client, Future, KilledWorker, LocalCluster, Security, SpecCluster, WorkerPlugin, get_worker, rpc
-from pydantic import BaseModel, BeforeValidator, Field, ValidationError, model_validator
+from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, ValidationError, ValidationInfo, field_validator
 from threadpoolctl import threadpool_limits
 from tornado.ioloop import PeriodicCallback
 
@@ -117,7 +117,7 @@ def _client_of(file: "ClusterFile", where: str) -> Iterator[Client]:
     """Give a client of the cluster that a file describes; raises SweepError for anything wrong in it."""
     with ExitStack() as stack:
         try:
-            cluster = stack.enter_context(own_cluster(cluster_class(file), file.options))
+            cluster = stack.enter_context(own_cluster(cluster_class(file.class_name), file.options))
             if file.adapt is None:
                 cluster.scale(**(file.scale or {}))
             else:
@@ -328,16 +328,19 @@ Count = Annotated[int, Field(strict=True, ge=1)]
 class ClusterFile(BaseModel, extra="forbid"):
     """What a file says of a cluster: its class, the arguments of the class and of its `scale` or `adapt`."""
 
-    class_name: str = Field(alias="class", pattern=r"^[^\W\d]\w*(\.[^\W\d]\w*)+$")
+    class_name: Annotated[str, AfterValidator(lambda name: cluster_class(name) and name)] = Field(
+        alias="class", pattern=r"^[^\W\d]\w*(\.[^\W\d]\w*)+$"
+    )
     options: dict[str, Any] = {}
-    scale: Annotated[dict[str, Count], BeforeValidator(lambda n: {"n": n} if type(n) is int else n)] | None = None
-    adapt: dict[str, Any] | None = None
+    scale: Annotated[dict[str, Count], BeforeValidator(lambda n: n if isinstance(n, dict) else {"n": n})] | None = None
+    adapt: dict[str, Any] | None = Field(None, validate_default=True)
 
-    @model_validator(mode="after")
-    def _has_one_size(self) -> "ClusterFile":
-        if bool(self.scale) == (self.adapt is not None):
+    @field_validator("adapt")
+    @classmethod
+    def _has_one_size(cls, written: dict[str, Any] | None, others: ValidationInfo) -> dict[str, Any] | None:
+        if "scale" in others.data and bool(others.data["scale"]) == (written is not None):
             raise ValueError("write either scale = WORKERS or adapt = { minimum = WORKERS, maximum = WORKERS }")
-        adapt = {"maximum": 1} if self.adapt is None else self.adapt
+        adapt = {"maximum": 1} if written is None else written
         if unknown := adapt.keys() - set(ADAPT):
             raise ValueError(f"unknown key adapt.{min(unknown)}{suggest(min(unknown), ADAPT)}")
         if not adapt.keys() & {"maximum", "maximum_jobs"}:
@@ -349,7 +352,7 @@ class ClusterFile(BaseModel, extra="forbid"):
                 raise ValueError(
                     f"adapt: minimum{unit} = {least} must be at most maximum{unit} = {most}, and this >= 1"
                 )
-        return self
+        return written
 
 
 def read_cluster_file(path: Path) -> ClusterFile:
@@ -371,7 +374,7 @@ def read_cluster_file(path: Path) -> ClusterFile:
 
 def _problem(item: Any) -> str:
     """Return what pydantic finds wrong in a file, in our words."""
-    key = ".".join(map(str, item["loc"]))
+    key = ".".join(map(str, item["loc"])).removesuffix(".n")  # which is no key where the scale is a number
     if item["type"] == "extra_forbidden":
         return f"unknown key {key}{suggest(key, ['class', 'options', 'scale', 'adapt'])}"
     if item["type"] == "value_error":
@@ -380,9 +383,9 @@ def _problem(item: Any) -> str:
     return f"{key} = {shown(item['input'])}: {item['msg']}{hint}"
 
 
-def cluster_class(file: ClusterFile) -> Any:
-    """Return the class that a cluster file names; raises SweepError where there is none or it is no Dask cluster."""
-    module, _, attribute = file.class_name.rpartition(".")
+def cluster_class(name: str) -> Any:
+    """Return the class of this name; raises ValueError where there is none or it is no Dask cluster."""
+    module, _, attribute = name.rpartition(".")
     try:
         answer = signal.getsignal(signal.SIGINT)
         kind = getattr(importlib.import_module(module), attribute)
@@ -391,9 +394,9 @@ def cluster_class(file: ClusterFile) -> Any:
     except Exception as error:  # whatever a module raises while it is imported
         missing = isinstance(error, ModuleNotFoundError) and error.name == "dask_jobqueue"
         hint = "; pip install 'linksweep[jobqueue]'" if missing else ""
-        raise SweepError(f"class = {file.class_name!r}: {type(error).__name__}: {error}{hint}") from error
-    if not isinstance(kind, type) or not all(hasattr(kind, name) for name in ("scale", "adapt", "close")):
-        raise SweepError(f"class = {file.class_name!r}: is no class of a Dask cluster")
+        raise ValueError(f"class = {name!r}: {type(error).__name__}: {error}{hint}") from error
+    if not isinstance(kind, type) or not all(hasattr(kind, method) for method in ("scale", "adapt", "close")):
+        raise ValueError(f"class = {name!r}: is no class of a Dask cluster")
     return kind
 
 

@@ -102,7 +102,9 @@ class Resources:
         """
         is_number = self.workers is None or (type(self.workers) is int and 1 <= self.workers <= MOST_WORKERS)
         elsewhere = [name for name in ("client", "scheduler", "cluster") if getattr(self, name) is not None]
-        if is_number and self.pool in (None, *POOLS) and self.limits == NO_LIMITS and not (self.dashboard or elsewhere):
+        idle = self.workers is not None and self.pool in [name for name, pool in POOLS.items() if not pool.has_workers]
+        known = is_number and self.pool in (None, *POOLS) and not idle
+        if known and self.limits == NO_LIMITS and not (self.dashboard or elsewhere):
             return
         # Imported here, since it imports NumPy, and the help of a command needs only the names of pools.
         from linksweep.sweep.contract import SweepError, shown, suggest
@@ -111,6 +113,8 @@ class Resources:
             raise SweepError(f"workers = {shown(self.workers)}: must be an integer from 1 to {MOST_WORKERS}")
         if self.pool not in (None, *POOLS):
             raise SweepError(f"no pool {shown(self.pool)}{suggest(str(self.pool), list(POOLS))}")
+        if idle:
+            raise SweepError(f"pool {self.pool} has no workers")
         if not isinstance(self.limits, Limits):
             raise SweepError(f"limits = {shown(self.limits)}: must be linksweep.Limits(time_s, memory)")
         time_s, memory = self.limits.time_s, self.limits.memory

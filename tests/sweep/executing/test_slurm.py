@@ -144,7 +144,7 @@ def test_a_job_array_computes_the_parts_and_merges_them(link_study, tmp_path, sw
         return "\n".join(path.read_text() for path in sorted((tmp_path / "s.zarr.slurm").glob("merge-*.log")))
 
     job = slurm.run("sbatch", "--parsable", "--output=/dev/null", "--wrap=sleep 2")
-    sweep(*asked, f"--sbatch=--dependency=afterany:{job}", cwd=tmp_path, code=0)
+    sweep(*asked, f"--sbatch=--dependency=afterany:{job}", "--sbatch=--output=/dev/null", cwd=tmp_path, code=0)
     script = tmp_path / "s.zarr.slurm" / "submit.sh"
     slurm.run("sh", str(script))
     assert "lost parts: 3 of 4" in ended()
