@@ -19,7 +19,7 @@ PACKAGES = """
 ONLY_IN = {
     **{"click": "sweep.cli", "distributed": "sweep.executing", "zarr": "sweep.stores", "obstore": "sweep.stores"},
     **{"erfa": "core.tie.astrometry", "pygaia": "core.missions", "sweep.search": "sweep.search sweep.cli.run"},
-    "matplotlib": "sweep.plots sweep.report sweep.search sweep.api",  # the last for a type
+    "matplotlib": "sweep.plots sweep.report sweep.api",  # the last for a type
     "bokeh": "sweep.report",
     "jinja2": "sweep.report",
     "pydantic": "sweep.studies sweep.stores sweep.executing sweep.functions.results",  # the last for records alone
@@ -32,8 +32,8 @@ ONLY_IN = {
 OF_THE_PLATFORM = {
     "core": "sweep.contract",
     "sweep.stores": "sweep.stores sweep.contract",
-    "sweep.search": "sweep.search sweep.contract sweep.tables sweep.formatting sweep.plots.link sweep.table_writer "
-    "sweep.stores.location",
+    "sweep.search": "sweep.search sweep.contract sweep.tables sweep.formatting sweep.plots sweep.table_writer "
+    "sweep.result sweep.stores.location",
 }
 OF_LIBRARIES = {
     "core": "numpy scipy pygaia erfa pandas bisect dataclasses typing collections types functools itertools math re "
