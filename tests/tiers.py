@@ -14,6 +14,6 @@ def slow(*values: Any) -> Any:
     return pytest.param(*values, marks=pytest.mark.slow)
 
 
-def examples(number: int) -> int:
+def examples(number: int, quick: int | None = None) -> int:
     """Return how many examples a property test has that has this number of them with ``--all``."""
-    return number if settings.get_current_profile_name() == ALL else max(number // 5, 5)
+    return number if settings.get_current_profile_name() == ALL else quick or max(number // 5, 5)

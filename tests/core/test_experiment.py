@@ -87,10 +87,8 @@ def test_summarise_against_direct_formulas(solve_glide):
         widened = 2 * (1 + 6 * stats.skew(by_catalogue, axis=-1) ** 2 / n_cat)
         error_of_mean = np.sqrt(widened / n_cat) * by_catalogue.std(axis=-1, ddof=1)
         expected |= {
-            name: sigma,
-            f"{name}_mc_error": sigma * np.sqrt(of_these / 40) / (2 * whole**2),
-            f"{name}_predicted": np.sqrt(weights @ predicted.mean(axis=0)),
-            f"{name}_rms_predicted": whole,
+            **{name: sigma, f"{name}_mc_error": sigma * np.sqrt(of_these / 40) / (2 * whole**2)},
+            **{f"{name}_predicted": np.sqrt(weights @ predicted.mean(axis=0)), f"{name}_rms_predicted": whole},
             f"{name}_catalogue_error": error_of_mean / (2 * whole),
         }
     for name, part in (("bias", slice(0, 6)), ("glide_bias", slice(6, 9)))[: 1 + solve_glide]:

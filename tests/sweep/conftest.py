@@ -22,12 +22,10 @@ SHORT = {  # settings and axes of built-in studies
     **{"icrf2-icrf3": ("n_sim=2", ""), "pulsar-timing": ("n_sim=20", "")},
     "pulsar-forecast": ("n_sim=100", "n_new=5,62"),
     "error-surface": ("n_sim=10 n_cat=4", "reference_error_scale=0:4:1"),
-    "grid": ("n_sim=10 n_cat=2", "v_max=16,17"),
-    "aberration": ("n_sim=4 n_cat=4", "v_max=14,15,16,18"),
+    **{"grid": ("n_sim=10 n_cat=2", "v_max=16,17"), "aberration": ("n_sim=4 n_cat=4", "v_max=14,15,16,18")},
     "degree-two": ("n_sim=4 n_cat=5", "n_obj=30,100 motion_field=t_2_0,s_2_1_re"),
     "zonal-errors": ("n_sim=16 n_cat=5", "n_obj=30,100 zonal_length=15,60"),
-    "magnitude-equation": ("n_sim=4 n_cat=5", "v_max=15,16"),
-    "error-budget": ("n_sim=4 n_cat=5", "v_max=14,15"),
+    **{"magnitude-equation": ("n_sim=4 n_cat=5", "v_max=15,16"), "error-budget": ("n_sim=4 n_cat=5", "v_max=14,15")},
 }
 
 

@@ -14,10 +14,7 @@ from tests.sweep.user import write_experiment, write_study
 from tests.tiers import examples
 
 GOOD = {
-    "name": "good",
-    "version": 1,
-    "parameters": (Parameter("rate", "float", 1.0, "rate"),),
-    "sums": {"total": ()},
+    **{"name": "good", "version": 1, "parameters": (Parameter("rate", "float", 1.0, "rate"),), "sums": {"total": ()}},
     "outputs": (Output("mean", "", "mean"),),
     "evaluate": lambda points, n_sim, rng, catalogue_rng: {"total": [n_sim * p["rate"] for p in points]},
     "summarise": lambda sums, n, n_cat: {"mean": sums["total"] / n},
@@ -117,10 +114,8 @@ RESULTS = [
     (called(lambda: {"totl": [1.0]}), "'totl', which is no declared sum; did you mean 'total'?; evaluate does not"),
     ({"summarise": lambda sums, n, n_cat: {"maen": n}}, "'maen', which is no declared output; did you mean 'mean'?"),
     (summary(lambda total: np.ones((3, len(total)))), "summarise: the output 'mean' has the shape (3, "),
-    (THREE, "total has 1 NaN and 1 infinite of 3 values"),
-    (summary(lambda total: total * math.nan), "mean is NaN"),
-    (called(lambda: sys.exit(3)), "SystemExit: 3"),
-    ({"evaluate": stop}, "Stop: enough"),
+    *((THREE, "total has 1 NaN and 1 infinite of 3 values"), (summary(lambda total: total * math.nan), "mean is NaN")),
+    *((called(lambda: sys.exit(3)), "SystemExit: 3"), ({"evaluate": stop}, "Stop: enough")),
 ]
 
 

@@ -18,13 +18,10 @@ counter = itertools.count()
 DIFFERENT = {
     "numpy": lambda x: np.random.default_rng().normal(),
     "its own generator": lambda x, rng_of=np.random.default_rng(1): rng_of.normal(),  # noqa: B008
-    "random": lambda x: random.random(),
-    "a counter": lambda x: next(counter),
-    "the clock": lambda x: time.perf_counter_ns(),
-    "a text": lambda x: {"x2": 2 * x, "name": uuid.uuid4().hex},
+    **{"random": lambda x: random.random(), "a counter": lambda x: next(counter)},
+    **{"the clock": lambda x: time.perf_counter_ns(), "a text": lambda x: {"x2": 2 * x, "name": uuid.uuid4().hex}},
     "one of an array": lambda x: np.array([1.0, 2.0, random.random()]),
-    "a length": lambda x: np.ones(1 + next(counter)),
-    "names": lambda x: {f"y{next(counter)}": x},
+    **{"a length": lambda x: np.ones(1 + next(counter)), "names": lambda x: {f"y{next(counter)}": x}},
     "many points at once": experiment(vectorised=True)(lambda x: np.random.default_rng().normal(size=len(x))),
     "after a point that fails": lambda x: random.random() if x > 2.0 else 1 / 0,
 }

@@ -111,8 +111,7 @@ def at_k(value, dim="k", **more):
 
 
 REFUSED = {
-    "nothing": (None, "f returns nothing (None)"),
-    "an empty dict": ({}, "f returns no results"),
+    **{"nothing": (None, "f returns nothing (None)"), "an empty dict": ({}, "f returns no results")},
     "None in it": ({"y": None}, "'y' is of type NoneType"),
     "complex array": ({"y": np.array([1j])}, "'y' is of type complex128"),
     "ragged": ({"y": [[1.0], [1.0, 2.0]]}, "'y' has parts of different lengths"),
@@ -127,8 +126,7 @@ REFUSED = {
     "far times": ({"y": np.datetime64("9999-01-01")}, "beyond the years 1678 to 2261"),
     "a duration": ({"y": np.timedelta64(3, "s")}, "'y' is of type timedelta64[s]"),
     "a surrogate": ({"y": "\ud800"}, "'y' is '\\ud800', which has a lone surrogate"),
-    "no values": ({"y": []}, "'y' has no values"),
-    "mixed": ({"y": [1, "a"]}, "'y' is of type int, str"),
+    **{"no values": ({"y": []}, "'y' has no values"), "mixed": ({"y": [1, "a"]}, "'y' is of type int, str")},
     "a truth value among numbers": ({"y": [np.True_, 2.5]}, "'y' is of type bool, float"),
     "masked": ({"y": np.ma.array([1.0, 2.0], mask=[0, 1])}, "'y' has 1 masked values"),
     "masked quantity": ({"y": Masked([1.0, 2.0] * u.km, mask=[False, True])}, "'y' has 1 masked values"),
@@ -145,8 +143,7 @@ REFUSED = {
     "a dimension of ours": (at_k([1], "point"), "dimension 'point': the platform gives this name"),
     "a parameter's name": (xr.DataArray([1.0], {"case": ("k", ["b"])}, ("k",)), "the coordinate 'case' has the name"),
     "two units": (at_k([1], units="h") | {"z": at_k([1], units="s")["y"]}, "'z' has a coordinate 'k' in s, expected h"),
-    "NaN": ({"y": np.nan}, "y is NaN"),
-    "infinity": ({"y": -np.inf}, "y is infinite"),
+    **{"NaN": ({"y": np.nan}, "y is NaN"), "infinity": ({"y": -np.inf}, "y is infinite")},
     "NaN in an array": ({"y": [1.0, np.nan]}, "y has 1 NaN of 2 values"),
     "no time": ({"y": np.datetime64("NaT", "s")}, "NaT"),
 }

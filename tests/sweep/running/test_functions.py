@@ -29,12 +29,10 @@ Word = Enum("Word", {"LONG": "a word", "NONE": ""}, type=str)
 FIRST = st.integers(-(2**63), -(2**63) + 3000)
 OF_A_KIND = {
     "whole": st.one_of(FIRST, st.integers(-3, 3), st.integers(-(2**63), 2**63 - 1)),
-    "wholes": st.lists(FIRST, min_size=2, max_size=2),
-    "ragged": st.lists(FIRST, max_size=3),
+    **{"wholes": st.lists(FIRST, min_size=2, max_size=2), "ragged": st.lists(FIRST, max_size=3)},
     "text": st.one_of(st.text(st.characters(codec="utf-8"), max_size=3), st.sampled_from(Word)),
     "texts": st.lists(st.sampled_from(Word), min_size=2, max_size=2),
-    "time": st.datetimes(datetime(1700, 1, 1), datetime(2200, 1, 1)),
-    "truth": st.booleans(),
+    **{"time": st.datetimes(datetime(1700, 1, 1), datetime(2200, 1, 1)), "truth": st.booleans()},
     "number": st.floats(allow_nan=False, allow_infinity=False),
 }
 PICTURES = """

@@ -131,7 +131,7 @@ def noisy(x: float, k: int = 1, *, rng):
     return {"y": k * x + rng.normal()}
 
 
-@pytest.mark.parametrize("form", ["mapping", "frame", "index", "levels", "table", "file"])
+@pytest.mark.parametrize("form", ["mapping", "levels", "file", *map(slow, ("frame", "index", "table"))])
 def test_labels_are_coordinates_along_points_and_change_no_number(tmp_path, form):
     store, rows, labels = tmp_path / "s.zarr", STARS, ["star", "hd"]
     if form in ("frame", "index", "levels"):
@@ -192,7 +192,7 @@ def test_what_is_no_label_is_refused_by_name(tmp_path):
         assert not (tmp_path / "s.zarr").exists()
 
 
-@settings(max_examples=max(2, examples(12) // 3))
+@settings(max_examples=examples(12, quick=2))
 @given(table=TABLES, first=st.integers(1, 4), number=st.integers(1, 3))
 def test_rows_of_any_labels_grow_are_corrected_and_come_together_from_parts(tmp_path_factory, table, first, number):
     folder = tmp_path_factory.mktemp("labels")

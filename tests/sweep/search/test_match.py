@@ -92,7 +92,7 @@ def run(*arguments):
     return CliRunner().invoke(main, ["match", *arguments])
 
 
-def test_the_search_from_files_to_files(folder):
+def test_the_search_from_files_to_files_and_to_the_catalogue_of_a_study(folder):
     where = ("--where", "stars: vt_mag > 10")  # without the third, which matches nothing
     result = run(*WITH_SUPPLEMENT, *where, "-o", "out.ecsv", "--table", "out.dat", "--figure", "out.png")
     assert result.exit_code == 0, result.output
@@ -116,6 +116,9 @@ def test_the_search_from_files_to_files(folder):
     assert [list(row)[:3] for row in galaxies] == [[4012, 1, 1], [1, 13, 1], [1234, 567, 2], [5, 6, 1]]
     assert (folder / "out.png").read_bytes().startswith(b"\x89PNG")
     assert len(list(folder.iterdir())) == 4 + 3  # tables that are read and outputs, no more
+    fixed = {"catalogue": "file", "file": "out.ecsv", "model": "amex"}
+    study = {"title": "Found galaxies", "fixed": fixed, "sampling": {"n_sim": 10, "n_cat": 1, "seed": 1}}
+    assert linksweep.run(study, "s.zarr", pool="serial")["n_obj"] == 4
 
 
 def test_json_is_the_summary(folder):
@@ -171,20 +174,14 @@ def test_matches_in_a_store_are_looked_at_as_other_results(folder, sweep):
     assert sweep("show", "m.zarr")[1] == shown
     rows, table = json.loads(sweep("show", "m.zarr", "--json")[1])["rows"], read_matches("m.ecsv")
     assert [list(row) for row in rows] == 4 * [table.colnames]
-    assert [list(row.values()) for row in rows] == [
-        [None if cell is np.ma.masked else cell for cell in r] for r in table
-    ]
+    cells = [[None if cell is np.ma.masked else cell for cell in row] for row in table]
+    assert [list(row.values()) for row in rows] == cells
     assert sweep("show", "m.zarr", "--format", "ecsv")[1] == (folder / "m.ecsv").read_text()
     assert sweep("report", "m.zarr")[0] == sweep("plot", "m.zarr")[0] == 0
-    assert (
-        "4 of 5 stars are at a galaxy: 2 certain, 1 uncertain, 1 supplement." in (folder / "m-report.html").read_text()
-    )
-    for more in (
-        ["plot", "m.zarr", "--kind", "lines"],
-        ["show", "m.zarr", "--at", "x=1"],
-        ["match", *ARGUMENTS, "-o", "m.zarr"],
-    ):
-        assert sweep(*more)[0] == 2
+    sentence = "4 of 5 stars are at a galaxy: 2 certain, 1 uncertain, 1 supplement."
+    assert sentence in (folder / "m-report.html").read_text()
+    for more in ("plot m.zarr --kind lines", "show m.zarr --at x=1", f"match {' '.join(ARGUMENTS)} -o m.zarr"):
+        assert sweep(*more.split())[0] == 2
 
 
 def test_the_map_shows_every_class_with_longitude_to_the_left():
@@ -201,13 +198,6 @@ def test_the_map_shows_every_class_with_longitude_to_the_left():
     assert 0.0 < x[0] < np.pi / 2
     tick = {text.get_text(): text.get_position()[0] for text in axes.texts}
     assert tick["60°"] < tick["0°"] < tick["300°"]
-
-
-def test_the_ecsv_is_the_catalogue_of_a_study(folder):
-    assert run(*WITH_SUPPLEMENT, "-o", "galaxies.ecsv").exit_code == 0
-    fixed = {"catalogue": "file", "file": "galaxies.ecsv", "model": "amex"}
-    study = {"title": "Found galaxies", "fixed": fixed, "sampling": {"n_sim": 10, "n_cat": 1, "seed": 1}}
-    assert linksweep.run(study, "s.zarr", pool="serial")["n_obj"] == 4
 
 
 def test_an_existing_file_is_kept_without_overwrite(folder):

@@ -17,11 +17,9 @@ from tests.tiers import slow
 SPIN = (0.03, -0.02, 0.05)
 OF_ALL = {"unknowns": "spin", "degree": 2, "clip": "median:5", "errors": "cells"}
 OPTIONS = [
-    OF_ALL,
-    {"unknowns": "spin,glide", "clip": "rayleigh", "errors": "sandwich,bootstrap"},
+    *(OF_ALL, {"unknowns": "spin,glide", "clip": "rayleigh", "errors": "sandwich,bootstrap"}),
     {"unknowns": "spin", "clip": "huber:3", "weights": "variance", "bins": ("phot_g_mean_mag", [17.0, 19.0])},
-    {"known_spin": SPIN},
-    {"unknowns": "spin", "jitter": {"motion": (0.0, 0.4)}},
+    *({"known_spin": SPIN}, {"unknowns": "spin", "jitter": {"motion": (0.0, 0.4)}}),
 ]
 
 
