@@ -424,14 +424,14 @@ class FunctionExperiment(Experiment):
             columns = {n: np.array([p.get(n, arguments[n].default) for p in points]) for n in names}
             return results.split_points(call(**columns), len(points), expected, "points")
         if not self.rng:
-            return [results.flatten(call(**point), expected, point) for point in points]
+            return [results.flatten(call(**point), expected) for point in points]
         rng, outcomes = next(iter(pairs))[0], []  # a function has no outer draw, so the second one is not used
         for point in points:
             if self.takes_n_sim:
                 together = call(**point, rng=rng, n_sim=n_sim)
                 realised = results.split_points(together, n_sim, expected, "realisations")
             else:
-                realised = [results.flatten(call(**point, rng=rng), expected, point) for _ in range(n_sim)]
+                realised = [results.flatten(call(**point, rng=rng), expected) for _ in range(n_sim)]
             outcomes.append(drawn(realised, self.name, self.declared, keep_samples))
         return outcomes
 

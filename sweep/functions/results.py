@@ -425,8 +425,8 @@ class Declared:
         """Return the error that has these problems of a result."""
         return ResultError(f"{self.function}: {'; '.join(problems)}")
 
-    def named(self, result: Any, point: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the outputs by name that the function has returned at a point."""
+    def named(self, result: Any) -> dict[str, Any]:
+        """Return the outputs by name that the function has returned."""
         if result is None:
             raise ResultError(f"{self.function} returns nothing (None); it must return its results")
         if hasattr(result, "to_xarray") and not isinstance(result, type):  # of pandas
@@ -436,7 +436,9 @@ class Declared:
             coords = getattr(result, "coords", None)  # a bare Variable has none, and no name
             name = self.single if coords is None else getattr(result, "name", None) or self.single
             named = dict(result.data_vars) if hasattr(result, "data_vars") else {name: result}
-            named |= self._beside(result, coords or {}, point)
+            beside = {str(n): one.reset_coords(drop=True) for n, one in (coords or {}).items() if n not in result.dims}
+            # They are results too, but for the one value that a selection by a parameter leaves.
+            named |= {n: one for n, one in beside.items() if one.ndim or n not in self.parameters}
         elif isinstance(result, Mapping):
             named = dict(result)
         elif is_dataclass(result) and not isinstance(result, type):
@@ -456,15 +458,6 @@ class Declared:
             raise ResultError(f"{self.function}: the name {shown(strange[0])} of an output is no text")
         return named
 
-    def _beside(self, result: Any, coords: Mapping[Any, Any], point: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the coordinates that are no dimensions, which are results too, unless they repeat a parameter."""
-        beside = {str(name): one.reset_coords(drop=True) for name, one in coords.items() if name not in result.dims}
-        for name in sorted(beside.keys() & self.parameters):
-            if name not in point or not same_value(beside.pop(name).values, point[name]):
-                other = "has the name of a parameter, and is not its value; rename it, or .drop_vars() it"
-                raise ResultError(f"{self.function}: the coordinate {name!r} {other}")
-        return beside
-
 
 SCALARS = frozenset({float, np.float64, int, np.int64, bool, np.bool_, str})
 """Types of results whose layout depends on nothing else."""
@@ -477,7 +470,7 @@ def _is_plain(scalar: Any) -> bool:
     return scalar.isascii() if isinstance(scalar, str) else not isinstance(scalar, float) or math.isfinite(scalar)
 
 
-def flatten(result: Any, declared: Declared, point: Mapping[str, Any]) -> Outcome:
+def flatten(result: Any, declared: Declared) -> Outcome:
     """Return the result of one point as the fields of a row, with their layout.
 
     Raises ResultError that names every output that is invalid or not as declared, and NotFiniteError.
@@ -487,7 +480,7 @@ def flatten(result: Any, declared: Declared, point: Mapping[str, Any]) -> Outcom
     # Names and types of scalars that have occurred take two microseconds, the way below sixty: points are millions.
     if (layout := declared.layouts.get(key)) is not None and all(map(_is_plain, scalars.values())):
         return Outcome(tuple(scalars.values()), None, layout)
-    row, layout = _read(result, declared, point)
+    row, layout = _read(result, declared)
     if SCALARS.issuperset(kind for _, kind in key):
         declared.layouts[key] = layout
     return Outcome(tuple(array[()] for array in row), None, layout)
@@ -510,17 +503,17 @@ def split_points(result: Any, n: int, declared: Declared, noun: str) -> list[Out
             raise ResultError(f"has {len(array)} values, {each}")
         return value._replace(array=array)
 
-    columns, layout = _read(result, declared, {}, column)
+    columns, layout = _read(result, declared, column)
     # scalars as those of Python, whose pickles are small
     elements = [c.tolist() if c.ndim == 1 and c.dtype.kind != "M" else list(c) for c in columns]
     return [Outcome(row, None, layout) for row in zip(*elements, strict=True)]
 
 
 def _read(
-    result: Any, declared: Declared, point: Mapping[str, Any], column: Callable[[Value], Value] | None = None
+    result: Any, declared: Declared, column: Callable[[Value], Value] | None = None
 ) -> tuple[list[NDArray[Any]], Layout]:
     """Return the arrays of a result, and its layout; with ``column``, which checks them, that of their elements."""
-    named = declared.named(result, point)
+    named = declared.named(result)
     problems = [
         f"does not return the output {name!r}{suggest(name, [n for n in named if n not in declared.by_name])}"
         for name in declared.by_name

@@ -173,15 +173,6 @@ class Grid:
         """Return the parameters that have no effect at any of the points at ``indices``."""
         return set[str].intersection(*({*gone} for _, gone, _ in self._raw(indices))) if self.study.when else set()
 
-    def idle_axes(self) -> set[str]:
-        """Return the axes with a dimension of their own that have an effect at no point."""
-        idle = {*self._lacking}
-        for _, parameters in self.parameters() if idle else ():
-            idle.intersection_update(self.study.missing(parameters))
-            if not idle:
-                break
-        return idle
-
     @cached_property
     def _left_out(self) -> set[int]:
         """The indices of the points that a study which was refined does not have."""
@@ -326,16 +317,9 @@ def make_grid(study: Study) -> Grid:
     asked = study.document.get("when", {})
     clauses = [("exclude", clause, False) for clause in study.excluded]
     clauses += [(f"when.{n}", some, n not in asked) for n, some in study.when.items() if n in {**study.axes, **asked}]
-    unmet = [
-        f"{where}: {sentence}"
-        for where, clause, is_declared in clauses
-        for one in clause
-        if (sentence := one.unmet(values[one.name], is_declared))
-    ]
-    if idle_axes := sorted(grid.idle_axes()):
-        whole = [f"the axis {name} has an effect at no point" for name in idle_axes]
-        raise SweepError([*whole, *(one for one in unmet if one.startswith("when."))], study.source)
-    grid.warnings.extend(unmet)
+    for where, clause, is_declared in clauses:
+        unmet = filter(None, (one.unmet(values[one.name], is_declared) for one in clause))
+        grid.warnings.extend(f"{where}: {sentence}" for sentence in unmet)
     grid.warnings.extend(remarks({} if study.points is None else study.points.origin))
     grid.warnings.extend(_with_points(warnings, "warnings"))
     return grid

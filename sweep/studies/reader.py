@@ -440,7 +440,8 @@ class _Reader:
                 if name not in {**axes, **fixed}:
                     words = f"{name} has no default: set it here (--set {name}=VALUE) or in axes (--axis)"
                     problems.add(("fixed", name), words)
-        when = {n: {one.name: one.written(when[n][one.name]) for one in some} for n, some in conditions.items()}
+        written = {one.name: one.written for one in experiment.parameters}
+        when = {n: {c.name: written[c.name](c.among) for c in some if c.among} for n, some in conditions.items()}
         self.document |= {"when": {name: when.get(name) for name in form.when}} if form.when else {}
         experiment = self._with_labels(experiment, axes, fixed, when)
         published = _read_published(form, values, axes)

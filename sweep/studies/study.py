@@ -137,11 +137,6 @@ class Condition:
             and (self.below is None or value < self.below)
         )
 
-    def written(self, raw: Sequence[Any]) -> list[Any]:
-        """Return ``among`` as JSON, from the values that were read: objects as their digests."""
-        pairs = zip(raw, self.among or (), strict=False)
-        return [one if type(one) in (str, dict) else value for one, value in pairs]
-
     def unmet(self, values: Sequence[Value], is_declared: bool) -> str:
         """Return a sentence where none of some values meets it, or where one of ``among`` looks misspelt, unless it
         ``is_declared`` for studies with other values; '' elsewhere.

@@ -93,7 +93,7 @@ def test_what_holds_results(tmp_path):
 
 
 def test_xarray_keeps_dimensions_coordinates_units_and_what_stands_beside(tmp_path):
-    coords = {"time": ("time", [0.0, 1.5], {"units": "days"}), "who": ["a", "b"], "case": "a", "year": 1999}
+    coords = {"time": ("time", [0.0, 1.5], {"units": "days"}), "who": ["a", "b"], "case": "nearest", "year": 1999}
     attrs = {"units": "kg", "long_name": "mass"}
     array = xr.DataArray([[1.0, 2.0], [3.0, 4.0]], coords, ("time", "who"), "n", attrs)
     for result in (array, array.to_dataset()):
@@ -141,7 +141,7 @@ REFUSED = {
     "dates for CF": (Column([1.0], unit="days since 2000-01-01"), "'f' has the unit 'days since 2000-01-01': return"),
     "dates along k": (at_k([1], units="days since explosion"), "has a coordinate 'k' that has the unit 'days since ex"),
     "a dimension of ours": (at_k([1], "point"), "dimension 'point': the platform gives this name"),
-    "a parameter's name": (xr.DataArray([1.0], {"case": ("k", ["b"])}, ("k",)), "the coordinate 'case' has the name"),
+    "a parameter's name": (xr.DataArray([1.0], {"case": ("k", ["b"])}, ("k",)), "output 'case': is the name of a"),
     "two units": (at_k([1], units="h") | {"z": at_k([1], units="s")["y"]}, "'z' has a coordinate 'k' in s, expected h"),
     **{"NaN": ({"y": np.nan}, "y is NaN"), "infinity": ({"y": -np.inf}, "y is infinite")},
     "NaN in an array": ({"y": [1.0, np.nan]}, "y has 1 NaN of 2 values"),

@@ -22,7 +22,6 @@ from tests.tiers import examples, slow
 
 PLAIN = st.one_of(st.none(), st.booleans(), st.floats(1, 9), st.text("abc", max_size=3))
 WRONG = ({"gam": {"kernel": ["rbf"]}}, {"gamma": {"kernl": ["rbf"]}}, {"gamma": {"kernel": "rbf"}}, {"gamma": ["rbf"]})
-RFB = {"gamma": {"kernel": ["rfb"]}}
 NUMBERS = st.lists(st.sampled_from([1, 2, 3, 1.0, 2.0, 2.5]), min_size=1, unique=True)
 ROWS = np.array([[0.0, 1.0], [2.0, 3.0]])
 Colour, Size = enum.Enum("Colour", "RED BLUE"), make_dataclass("Size", ["width"], frozen=True)
@@ -181,6 +180,9 @@ def test_where_a_declared_parameter_has_no_effect_there_is_one_point_without_it(
     for kernel in kernels:  # together they are a table
         ds = linksweep.run(zipped | {"fixed": {"kernel": kernel}}, tmp_path / "z.zarr", pool="serial", keep=True)
         assert np.isnan(ds.gamma).all() == (kernel == "linear")
+        ds = linksweep.run(fit, tmp_path / "l.zarr", fixed={"kernel": kernel}, axes={"gamma": gammas}, keep=True)
+        assert ("no point has such a value of kernel" in str(ds.warnings)) == (kernel == "linear")
+    assert sorted(linksweep.open(tmp_path / "l.zarr").fit.to_series().dropna()) == [107.0, 120.5, 122.0]
     np.testing.assert_array_equal(linksweep.open(tmp_path / "z.zarr").gamma, [np.nan, np.nan, *gammas])
     whole = linksweep.open(tmp_path / "s.zarr").fit
     for kernel, values in {"linear": [107.0], "rbf": [110.5, 111.0], "poly": [120.5, 122.0]}.items():
@@ -212,12 +214,12 @@ def test_values_without_effect_are_on_no_axis_and_none_is_one_of_its_own(tmp_pat
         assert ds.g.values.ravel().tolist() == ["('None', 'None')"]
 
 
-@pytest.mark.parametrize("when", [*WRONG, "gamma", {"gamma": {"kernel": []}}, {"gamma": {"gamma": [1.0]}}, RFB])
+@pytest.mark.parametrize("when", [*WRONG, "gamma", {"gamma": {"kernel": []}}, {"gamma": {"gamma": [1.0]}}])
 def test_a_condition_that_means_nothing_is_refused(tmp_path, when):
     def fit(kernel: str = "rbf", gamma: float = 1.0):
         return gamma
 
-    with pytest.raises(SweepError, match="did you mean 'rbf'" if when is RFB else "when"):
+    with pytest.raises(SweepError, match="when"):
         linksweep.run(linksweep.experiment(when=when)(fit), tmp_path / "s", axes={"kernel": ["rbf"], "gamma": [1.0]})
     assert not (tmp_path / "s").exists()
 
@@ -279,8 +281,7 @@ def test_conditions_of_any_depth_hold_at_each_point_wherever_its_values_come_fro
         try:
             ds = linksweep.run(study | {"experiment": chained, "when": when}, store, pool="serial", keep=True)
         except SweepError as error:
-            told = str(error)
-            if "at no point" in told or ("shares a dimension" in told and study.keys() & {"grid", "points"}):
+            if "shares a dimension" in str(error) and study.keys() & {"grid", "points"}:
                 return
             raise
         assert {*ds.chained.values[ds.status.values == 1]} == asked
