@@ -131,13 +131,7 @@ class Values:
         """Return the value at a place, None if it is wrong; problems begin with ``which``."""
         with self.problems.at(place, which):
             parameter = self._parameter(name)
-            refuse_quantity(raw, parameter)
-            is_plain = type(raw) in PLAIN_TYPES or (isinstance(raw, dict) and raw.keys() == {LABEL})
-            is_object = parameter.takes_objects and not is_plain
-            if place[0] == "when":
-                value = compared(parameter, raw)
-            else:
-                value = parameter.parse(labelled(raw) if is_object else raw)
+            value = (compared if place[0] == "when" else parsed)(parameter, raw)
             if parameter.kind not in ("file", "files"):
                 return value
             folder = Path.cwd() if place[:2] in self.problems.options else self.folder
@@ -733,16 +727,21 @@ def labelled(value: Any, label: str = "", otherwise: str = "") -> Named:
     return Named(str(label), json.dumps(parts, sort_keys=True), value)
 
 
+def parsed(parameter: Parameter, raw: Any, otherwise: str = "") -> Any:
+    """Return a value of a parameter, an object as `labelled`; raises ValueError as that and `Parameter.parse`."""
+    refuse_quantity(raw, parameter)
+    is_plain = type(raw) in PLAIN_TYPES or (isinstance(raw, dict) and raw.keys() == {LABEL})
+    return parameter.parse(raw if is_plain or not parameter.takes_objects else labelled(raw, "", otherwise))
+
+
 def compared(parameter: Parameter, raw: Any) -> Value:
     """Return a value of a condition; where it may be an object, a text is a label, too, and an object is its digest.
 
-    Raises ValueError as `Parameter.parse`.
+    Raises ValueError as `parsed`.
     """
-    refuse_quantity(raw, parameter)
     if parameter.takes_objects and type(raw) is str:
         return raw
-    is_object = parameter.takes_objects and type(raw) not in PLAIN_TYPES
-    value = parameter.parse(labelled(raw, "object") if is_object else raw)
+    value = parsed(parameter, raw, "object")
     return content_digest(value) if isinstance(value, Named) and parameter.kind != "str" else value
 
 

@@ -563,14 +563,8 @@ class _Reader:
         if study.points is not None:
             # the values and not the file or the function that gave them: a store is continued as it was begun
             document["points"] = study.points.written({name: written[name] for name in study.points.names})
-        if study.excluded:  # objects by their digests
-            document["exclude"] = [
-                {
-                    one.name: rule if one.among is None else {"in": [*map(known[one.name].written, one.among)]}
-                    for one, rule in zip(clause, raw.values(), strict=True)
-                }
-                for clause, raw in zip(study.excluded, document["exclude"], strict=True)
-            ]
+        if study.excluded:
+            document["exclude"] = [{c.name: c.written(known[c.name]) for c in clause} for clause in study.excluded]
         paths = {name: one.path for name, one in values.items() if isinstance(one, TableFile)}
         for key in {"axes", "fixed"} & document.keys():
             document[key] = document[key] | {

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from decimal import Decimal, InvalidOperation
 from functools import cached_property
-from itertools import chain, count, groupby, product
+from itertools import count, groupby
 from string import Formatter
 from typing import Annotated, Any, Literal, Self
 
@@ -137,17 +137,22 @@ class Condition:
             and (self.below is None or value < self.below)
         )
 
+    def written(self, parameter: Parameter) -> dict[str, Any]:
+        """Return it as a study file has it, objects as their digests."""
+        rule = {"in": parameter.written(self.among), "above": self.above, "below": self.below}
+        return {key: value for key, value in rule.items() if value is not None}
+
     def unmet(self, values: Sequence[Value], is_declared: bool) -> str:
         """Return a sentence where none of some values meets it, or where one of ``among`` looks misspelt, unless it
         ``is_declared`` for studies with other values; '' elsewhere.
         """
         is_met = any(map(self.holds, values))
         there = {name for value in values for name in _names(value)} if self.among else set()
-        known = [str(value) for value in values if isinstance(value, str | Named)][:1000]
         lacking = [value for value in self.among or () if there.isdisjoint(_names(value))]
         named = [value for value in lacking if not str(value).startswith("sha256:")][:20]
-        near = [one for one in named if not (is_met and is_declared) and nearest(str(one), known)]
-        if is_met and not near:
+        known = [str(value) for value in values if isinstance(value, str | Named)][:1000]
+        near = [one for one in named if nearest(str(one), known)]
+        if is_met and (is_declared or not near):
             return ""
         hints = [f": {shown(one)}{suggest(str(one), known)}" for one in [*near, *named][:1]]
         return f"no point has such a value of {self.name}{''.join(hints)}"
@@ -864,17 +869,15 @@ class Study:
         names = () if self.points is None else self.points.names
         if {*names}.isdisjoint(self.partial):
             return self
-        columns, constants = {name: [*self.axes[name]] for name in names}, self.experiment.defaults() | dict(self.fixed)
-        deciding = {one.name for conditions in self.when.values() for one in conditions}
-        crossed = [axes for name, axes in self.dimensions.items() if name != POINT and not deciding.isdisjoint(axes)]
-        rows = (zip(*(self.axes[n] for n in axes), strict=True) for axes in crossed)
-        along = [[[*zip(axes, row, strict=True)] for row in some] for axes, some in zip(crossed, rows, strict=True)]
-        others = [constants | dict(chain(*some)) for some in product(*along)]
-        for number, row in enumerate(zip(*columns.values(), strict=True)):
-            point = dict(zip(names, row, strict=True))
-            for name in {*names}.intersection(*(self.missing(other | point) for other in others)):
-                columns[name][number] = None
-        return replace(self, axes={**self.axes, **{name: tuple(column) for name, column in columns.items()}})
+        constants = self.experiment.defaults() | dict(self.fixed)
+        values, rows = {name: (value,) for name, value in constants.items()} | self.places, []
+        for row in zip(*(self.axes[name] for name in names), strict=True):
+            there = values | {name: (value,) for name, value in zip(names, row, strict=True)}
+            for name, conditions in self.when.items():
+                if not all(any(map(one.holds, there[one.name])) for one in conditions):
+                    there[name] = (None,)
+            rows.append([there[name][0] for name in names])
+        return replace(self, axes={**self.axes, **dict(zip(names, zip(*rows, strict=True), strict=True))})
 
     def arguments(self, parameters: dict[str, Any]) -> dict[str, Any]:
         """Return what the experiment gets at a point: the defaults of parameters that are missing."""
