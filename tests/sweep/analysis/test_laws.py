@@ -11,7 +11,7 @@ from hypothesis import given, settings, strategies as st
 import linksweep
 from linksweep import SweepError, find, fit_levelling, fit_power_law, interpolate, ratio
 from tests.sweep.analysis.made import DONE, EXCLUDED, FAILED, MISSING, N, grid
-from tests.tiers import examples
+from tests.tiers import examples, slow
 
 V = np.arange(14.0, 20.1, 0.5)
 MET = ("never", "always", "from", "up to", "several times", "left out")
@@ -204,8 +204,8 @@ def test_what_has_no_place_and_no_errors_is_printed_without(tmp_path, sweep_here
     assert sweep_here("find", tmp_path / "t.zarr", "--where", "z > 50")[1].strip() == "no point meets z > 50"
 
 
-@pytest.mark.parametrize("noise", [0.03, 0.1, 0.3, 0.5])
-@pytest.mark.parametrize("truth", [1.5, 1.75, 2.0])
+@pytest.mark.parametrize("noise", [slow(0.03), 0.1, slow(0.3), 0.5])
+@pytest.mark.parametrize("truth", [slow(1.5), 1.75, 2.0])
 def test_crossings_of_points_with_errors_of_any_size(noise, truth):
     """The noise, in steps of the axis, chooses the points on both sides; the truth is within two errors as often."""
     x = np.arange(5.0)
@@ -220,7 +220,7 @@ def test_crossings_of_points_with_errors_of_any_size(noise, truth):
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
-@pytest.mark.parametrize("noise", [0.7, 1.4, 2.8])
+@pytest.mark.parametrize("noise", [slow(0.7), 1.4, slow(2.8)])
 def test_a_line_that_turns_back_at_the_limit_has_not_crossed_it(noise, mirrored):
     """The truth is near the last point, in steps of the axis, and noise crosses before; for most there is no error."""
     x = np.arange(6.0)

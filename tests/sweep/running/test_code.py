@@ -239,7 +239,7 @@ def check(layout, folder):
 
 
 @given(seed=st.integers(0, 10**6))
-@settings(max_examples=examples(25), derandomize=True)
+@settings(max_examples=examples(25, quick=3), derandomize=True)
 def test_in_any_layout_other_code_is_refused_and_the_same_is_not(tmp_path_factory, seed):
     check(Layout(seed), tmp_path_factory.mktemp("layout"))
 

@@ -81,7 +81,7 @@ def test_statistics_extend_to_the_bits_of_one_run(tmp_path):
     assert "wait_max_mc_error" not in whole
 
 
-@settings(max_examples=examples(15))
+@settings(max_examples=examples(15, quick=3))
 @given(table=st.lists(st.none() | st.fixed_dictionaries(OF_A_KIND), min_size=1, max_size=4).filter(any))
 def test_a_run_returns_what_its_store_has_and_no_value_is_taken_for_a_missing_one(tmp_path_factory, table):
     @experiment(outputs=[*map(Output, OF_A_KIND.keys() - {"ragged"}), Output("ragged", ragged=True)])

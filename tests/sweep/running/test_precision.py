@@ -15,6 +15,7 @@ from tests.tiers import slow
 
 PRECISE, MANY, WIDE = {"n_sim": 64, "precision": 0.05}, {"n_sim": 700}, ("q95", "std", "median")
 COARSE = {"n_sim": 500, "precision": 0.2}
+OTHERS = [(MANY, PRECISE), (PRECISE, COARSE), *(slow(PRECISE, one) for one in ({"n_sim": 100}, MANY))]
 
 
 @experiment(outputs=[Output("level", statistics=["mean"])])
@@ -54,7 +55,7 @@ def test_stopped_anywhere_or_of_a_coarser_precision_it_goes_on_to_the_same_numbe
     assert linksweep.open(tmp_path / "s.zarr").attrs["precision"] == 0.01
 
 
-@pytest.mark.parametrize(("first", "then"), [(MANY, PRECISE), *((PRECISE, a) for a in ({"n_sim": 100}, MANY, COARSE))])
+@pytest.mark.parametrize(("first", "then"), OTHERS)
 def test_a_run_with_other_sampling_takes_nothing_from_the_points_of_a_store(tmp_path, first, then):
     def run(sampling, scatter, store="s.zarr"):
         return linksweep.run(levels, tmp_path / store, axes={"scatter": scatter}, sampling=sampling, pool="serial")

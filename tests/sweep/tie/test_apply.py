@@ -92,8 +92,8 @@ def test_the_covariance_of_the_link_is_added(tmp_path):
     np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-6)
 
 
-@pytest.mark.parametrize("both", [False, True])
-@pytest.mark.parametrize(("form", "ending"), [("named", "ecsv"), ("padded", "fits"), ("text", "csv")])
+@pytest.mark.parametrize("both", [slow(False), True])
+@pytest.mark.parametrize(("form", "ending"), [("named", "ecsv"), ("padded", "fits"), slow("text", "csv")])
 def test_only_covariances_of_what_is_turned_change_in_rows_with_accelerations(tmp_path, form, ending, both):
     """Of columns, of corr_vec, and of both, of which one is not read."""
     truth, *made = drawn(12, 3)

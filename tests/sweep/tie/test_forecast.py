@@ -67,7 +67,7 @@ def value(matrix, blocks, criterion):
 
 @pytest.mark.parametrize("criterion", ["A", slow("D")])
 @pytest.mark.parametrize("blocks", [("spin",), slow(("orientation", "spin"))])
-@pytest.mark.parametrize("weights", ["covariance", "variance", slow("equal")])
+@pytest.mark.parametrize("weights", ["covariance", *map(slow, ("variance", "equal"))])
 @pytest.mark.parametrize("jitter", ["five-parameter=0.1:0.02,all=0.3", slow("")])
 def test_every_stage_and_choice_is_the_link_with_the_new_rows(tables, criterion, blocks, weights, jitter):
     tables.options = {"weights": weights, "jitter": jitter}
