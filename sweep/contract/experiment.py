@@ -367,9 +367,9 @@ class Parameter:
             return self._plain(value)
         if self.takes_objects or value in self.defined:
             return value
-        # A member of an enumeration of numbers or texts is one where only these are allowed, infinity is itself.
+        # A member of an enumeration of numbers or texts is one where only these are allowed.
         is_member = isinstance(value.value, int | float | str) and type(value.value) not in (bool, int, float, str)
-        return self._plain(value.value if is_member or not _is_finite(value.value) else value)
+        return self._plain(value.value if is_member else value)
 
     def _object(self, raw: Any) -> Any:
         """Return the object with a label that ``raw`` is or names, ``raw`` itself where it is none."""
@@ -567,7 +567,7 @@ def parameter_problems(parameter: Parameter) -> Iterator[str]:
     ):
         example = '{"kernel": ["rbf"]}, with other parameters and a list of values of each'
         yield f"when = {shown(parameter.when)}: must be like {example}"
-    elif parameter.default is not None and not isinstance(parameter.default, Named):
+    elif parameter.default is not None:
         try:
             parameter.parse(parameter.written_default())
         except (ValueError, TypeError) as error:

@@ -191,15 +191,12 @@ def _parameter(argument: inspect.Parameter, names: Mapping[str, Any]) -> Paramet
     if kind == "float" and type(default) is int:  # the digest of a point with 1 would differ from that with 1.0
         default = float(default)
     beyond = rules.HUGE if kind == "float" or type(default) is float else 2**63
-    if isinstance(default, int | float) and beyond <= abs(default) < np.inf:
+    if isinstance(default, int | float) and not abs(default) < beyond:
         default, optional = None, False
     meaning = noted.meaning or (noted.name if noted.name != name else "") or name.replace("_", " ")
     choices = choices or noted.choices
-    made = replace(noted, name=name, kind=kind, meaning=meaning, choices=choices, optional=optional, finite=False)
-    if isinstance(default, float) and not np.isfinite(default):
-        with suppress(ValueError):  # which is said beside other problems of the parameter
-            default = made.parse(default)
-    return replace(made, default=default, required=required)
+    made = replace(noted, name=name, kind=kind, meaning=meaning, choices=choices, required=required)
+    return replace(made, default=default, optional=optional, finite=False)
 
 
 def _annotation(argument: inspect.Parameter, names: Mapping[str, Any]) -> Any:

@@ -292,9 +292,7 @@ def value_of(value: Any) -> Value:
                 raise ResultError(f"has a coordinate {dim!r} of times with the zone {zone}; {IN_UTC}")
         coordinates = tuple(coordinate_of(dim, one.variable) for dim, one in along)
         meaning, value = str(value.attrs.get("long_name", "")), value.values
-    elif isinstance(value, np.ma.MaskedArray) or hasattr(
-        value, "unmasked"
-    ):  # of NumPy or astropy; never read as numbers
+    elif isinstance(value, np.ma.MaskedArray) or hasattr(value, "unmasked"):  # of NumPy or astropy
         if n := int(np.sum(value.mask)):
             raise ResultError(f"has {n} masked values; fill them, with NaN where the output declares nan=True")
         value = value.unmasked if hasattr(value, "unmasked") else value.data

@@ -750,7 +750,8 @@ def with_default_objects(experiment: Experiment) -> Experiment:
     arguments = inspect.signature(call).parameters if (call := getattr(experiment, "call", None)) else {}
     parameters = list(experiment.parameters)
     for place, one in enumerate(parameters):
-        is_none = bool(arguments) and one.takes_objects and one.default is None and not one.required
+        may_be = bool(arguments) and (one.takes_objects or one.kind == "float")  # which may be infinite
+        is_none = may_be and one.default is None and not one.required
         if is_none and (default := arguments[one.name].default) is not None:
             with suppress(ValueError):
                 parameters[place] = replace(one, default=labelled(default))
