@@ -38,6 +38,7 @@ from functools import cache, cached_property, lru_cache, partial
 from importlib.machinery import EXTENSION_SUFFIXES, ModuleSpec, PathFinder
 from importlib.metadata import PackageNotFoundError, packages_distributions, version
 from itertools import accumulate, chain, groupby, islice
+from operator import attrgetter
 from pathlib import Path
 from types import CellType, CodeType, FunctionType, MappingProxyType, MethodType, ModuleType
 from typing import Any, ClassVar, SupportsAbs
@@ -100,6 +101,9 @@ STATEMENT = "statement "
 
 # Stands in place of a module in the reference of a function that only this session has.
 SESSION = "session"
+
+# As the positions of instructions are written.
+_place_of = attrgetter("lineno", "end_lineno", "col_offset", "end_col_offset")
 
 SUFFIXES = ("/__init__.py", *EXTENSION_SUFFIXES, ".py")  # as Python prefers them
 DIGEST = re.compile("(^| )[0-9a-f]{12}( |$)")
@@ -320,7 +324,9 @@ class Reach:
         import cloudpickle  # which takes apart what pickle cannot
 
         kind = type(value)
-        if kind in (list, tuple, set, frozenset, dict):
+        if kind in (set, frozenset):  # in an order that is the same in all processes, so that numbers of functions are
+            return sorted(value, key=_contents)
+        if kind in (list, tuple, dict):
             return chain.from_iterable(value.items()) if kind is dict else iter(value)
         if kind is np.ndarray and value.dtype.kind not in "OV":
             strides = () if value.flags.c_contiguous else value.strides  # sums and views depend on them
@@ -454,15 +460,12 @@ class Reach:
         texts = [*map(unparsed, nodes)]
         code = function.__code__ if function else compile("\n".join(texts), "", "exec", ast.PyCF_ALLOW_TOP_LEVEL_AWAIT)
         scope, wanted, text = ChainMap(bound, dict(names)), {*bound, *_names_in(code)}, "".join(texts)
-        # what code changes of a default is left out of it, so what names in its expression stand for counts
-        defaults = [
-            part for one in before if isinstance(one, ast.arguments) for part in one.defaults + one.kw_defaults if part
-        ]
-        wanted |= {one.id for default in defaults for one in ast.walk(default) if isinstance(one, ast.Name)}
-        mangled = {name[name.index("__", 1) :]: name for name in wanted if re.match("_[^_].*__", name)}
-        for whole in sorted({one for node in nodes for one in _chains(node)}):
+        # what names in defaults and annotations stand for: what code changes of a default is left out of its value
+        heads = [one.args for one in nodes if isinstance(one, Function)]
+        wanted |= {one.id for head in heads for one in ast.walk(head) if isinstance(one, ast.Name)}
+        private = {name for name in wanted if re.match("_[^_].*__", name)}  # _C__k, which is __k in the class C
+        for whole in sorted(private.union(*map(_chains, nodes))):
             name, *path = whole.split(".")
-            name = mangled.get(name, name)
             if function and whole in BY_NAME and names.get("__name__") in sys.modules:
                 self._follow(self._whole, sys.modules[names["__name__"]])
             if name not in scope or name not in wanted:
@@ -527,6 +530,13 @@ def _closure(function: FunctionType) -> dict[str, Any]:
     return {name: cell.cell_contents for name, cell in cells if cell != CellType()}  # this one is not filled yet
 
 
+def _contents(value: Any, depth: int = 5) -> str:
+    """Return what tells a plain value or a function from others, functions by what is in their closures."""
+    if type(value) is FunctionType and depth:
+        return f"{label_of(value)} {[_contents(one, depth - 1) for one in _closure(value).values()]}"
+    return repr(value) if type(value) in PLAIN else ""
+
+
 def tree_of(filename: str, names: Names) -> ast.Module:
     """Return the syntax tree of the file, cell or argument that some code is from; empty where there is no source."""
     if TREE in names and filename == names["__file__"]:
@@ -567,12 +577,10 @@ def definitions_of(function: FunctionType) -> Sequence[Function]:
                 raise SweepError(why, code.co_filename)
             line = line if line in lines else lines[0]  # a notebook that reloads compiles a function by itself
     nodes = _index(tree_of(code.co_filename, names))[line, code.co_name]
-    places = {*code.co_positions()} if len(nodes) > 1 else set()
-    return [one for one in nodes if _place(one.body) in places] or nodes
-
-
-def _place(node: Any) -> tuple[Any, ...]:
-    return tuple(getattr(node, name, None) for name in ("lineno", "end_lineno", "col_offset", "end_col_offset"))
+    if len(nodes) == 1:
+        return nodes
+    places = {*code.co_positions()}  # the whole of a lambda is often that of its last operation
+    return [one for one in nodes if _place_of(one.body) in places] or nodes
 
 
 @lru_cache(maxsize=64)

@@ -74,7 +74,7 @@ def with_values(dataset: xr.Dataset, names: Sequence[str]) -> list[str]:
     that does not solve for the spin, for example, has no error of it.
     """
     known = [name for name in names if is_known(dataset[name].values).any()]
-    return known if known and FUNCTION not in dataset.attrs else [*known, *(n for n in names if n not in known)]
+    return known if known and FUNCTION not in dataset.attrs else sorted(names, key=lambda name: name not in known)
 
 
 def is_known(values: NDArray[Any]) -> NDArray[np.bool_]:
@@ -477,14 +477,13 @@ def _is_meant(value: object, wanted: Any) -> bool:
         return str(wanted).lower() in ("nan", "none")
     if isinstance(value, bool) and isinstance(wanted, str):
         return wanted.lower() == str(value).lower()
-    reads: Sequence[Any] = [lambda same: same]
-    if isinstance(value, np.datetime64):
-        reads = [np.datetime64]
-    elif isinstance(wanted, str) and not isinstance(value, str):
-        reads = [int, float]  # an integer beyond 2**53 is no float
-    for read in reads:
-        with suppress(ValueError, TypeError):  # an array is equal to nothing
-            return bool(value == read(wanted))
+    with suppress(ValueError, TypeError):  # an array is equal to nothing
+        if isinstance(value, np.datetime64):
+            wanted = np.datetime64(wanted)
+        elif isinstance(wanted, str) and not isinstance(value, str):
+            # an integer beyond 2**53 is no float
+            wanted = int(wanted) if wanted.strip("+-").isdecimal() else float(wanted)
+        return bool(value == wanted)
     return False
 
 

@@ -37,7 +37,6 @@ from linksweep.sweep.executing.executor import KEEP_BYTES, ONE_THREAD, Children
 from linksweep.sweep.executing.pools import Limits, Place, Resources, available_cores
 from linksweep.sweep.executing.task import AnyJob, Call, Executor, Failure, Identity, Task, other_versions
 from linksweep.sweep.executing.worker import Deadlines, compute, leave_signals_to_parent, set_environment
-from linksweep.sweep.interrupt import SIGNALS
 from linksweep.sweep.planning.accumulator import TASK_S, TASKS_IN_FLIGHT, task_seconds
 
 CONNECT_TIMEOUT_S = 10
@@ -247,7 +246,7 @@ def _started(make: Callable[[], Any]) -> Any:
     """
 
     def start() -> Any:
-        signal.pthread_sigmask(signal.SIG_BLOCK, {*SIGNALS} - {signal.SIGTERM})
+        signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGINT, signal.SIGHUP])
         return make()
 
     with ThreadPoolExecutor(1) as pool:

@@ -5,7 +5,7 @@ A new pool needs an entry in `POOLS` and a name in `PoolName`.
 
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -100,20 +100,16 @@ class Resources:
         """Raise SweepError for a pool, a number of workers, limits, a dashboard or a client that cannot be, and for
         several places to run on.
         """
-        is_number = self.workers is None or (type(self.workers) is int and 1 <= self.workers <= MOST_WORKERS)
-        elsewhere = [name for name in ("client", "scheduler", "cluster") if getattr(self, name) is not None]
-        idle = self.workers is not None and self.pool in [name for name, pool in POOLS.items() if not pool.has_workers]
-        known = is_number and self.pool in (None, *POOLS) and not idle
-        if known and self.limits == NO_LIMITS and not (self.dashboard or elsewhere):
+        if all(getattr(self, one.name) is one.default for one in fields(self)):
             return
         # Imported here, since it imports NumPy, and the help of a command needs only the names of pools.
         from linksweep.sweep.contract import SweepError, shown, suggest
 
-        if not is_number:
+        if self.workers is not None and not (type(self.workers) is int and 1 <= self.workers <= MOST_WORKERS):
             raise SweepError(f"workers = {shown(self.workers)}: must be an integer from 1 to {MOST_WORKERS}")
         if self.pool not in (None, *POOLS):
             raise SweepError(f"no pool {shown(self.pool)}{suggest(str(self.pool), list(POOLS))}")
-        if idle:
+        if self.workers is not None and self.pool is not None and not POOLS[self.pool].has_workers:
             raise SweepError(f"pool {self.pool} has no workers")
         if not isinstance(self.limits, Limits):
             raise SweepError(f"limits = {shown(self.limits)}: must be linksweep.Limits(time_s, memory)")
@@ -123,6 +119,7 @@ class Resources:
         if memory is not None and not (type(memory) is int and memory >= MEMORY_AT_LEAST):
             least = f"at least the {MEMORY_AT_LEAST // 10**6} MB that a worker needs itself"
             raise SweepError(f"memory = {shown(memory)}: must be an integer of bytes, {least}; None is no limit")
+        elsewhere = [name for name in ("client", "scheduler", "cluster") if getattr(self, name) is not None]
         here = {"workers": self.workers, "pool": self.pool, "memory": memory, "dashboard": self.dashboard}
         local = [name for name, value in here.items() if value not in (None, False)]
         if elsewhere and (local or len(elsewhere) > 1):

@@ -227,11 +227,7 @@ def place_of(study: Study, at: str, where: str) -> tuple[dict[str, Any], dict[st
     if problems:
         raise SweepError(problems, where)
     grid = Grid(study)
-    there = [
-        index
-        for index, point in grid.parameters()
-        if not any(is_other(value, point[name]) for name, value in wanted.items())
-    ]
+    there = [i for i, point in grid.parameters() if not any(is_other(wanted[name], point[name]) for name in wanted)]
     if not there:
         raise SweepError(f"--at {shown(at)}: the study has no point with these values", where)
     along = dict(zip(grid.dimensions, np.unravel_index(there, grid.shape) if grid.shape else (), strict=True))
@@ -253,11 +249,11 @@ def _on_axis(study: Study, name: str, text: str) -> dict[str, Any]:
         value = parse_value(text, is_text=isinstance(cells[0], str))
         named = {row: number for number, row in enumerate(rows) if not is_other(cells[number], value)}
         if len(named) != 1:
-            several = (
-                f"is {len(named)} points; name one by {POINT}, such as {first_of(list(named.values()), MOST_NAMED)}"
-            )
-            known = f"is none of {first_of(plain(list(dict.fromkeys(cells))), MOST_NAMED)}"
-            raise ValueError(f"{name} = {shown(text)}: {several if named else known}")
+            why = f"is none of {first_of(plain(list(dict.fromkeys(cells))), MOST_NAMED)}"
+            if named:
+                numbers = first_of(list(named.values()), MOST_NAMED)
+                why = f"is {len(named)} points; name one by {POINT}, such as {numbers}"
+            raise ValueError(f"{name} = {shown(text)}: {why}")
         return dict(zip(study.points.names, *named, strict=True))
     if name not in study.axes:
         raise ValueError(f"{name}: is not an axis{suggest(name, list(study.axes))}")
