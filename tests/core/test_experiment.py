@@ -73,10 +73,8 @@ def test_summarise_against_direct_formulas(solve_glide):
         expected |= {name: values.mean(), f"{name}_mc_error": np.sqrt(2 * values.var() / 4)}
     single, part = np.eye(9), of_squares.mean(axis=0)
     parts = {"sigma": (single[:6], part[:6]), "glide_sigma": (single[6:], part[6:9])}
-    parts |= {
-        "sigma_orientation": (single[:3].mean(axis=0), part[9]),
-        "sigma_spin": (single[3:6].mean(axis=0), part[10]),
-    }
+    parts["sigma_orientation"] = single[:3].mean(axis=0), part[9]
+    parts["sigma_spin"] = single[3:6].mean(axis=0), part[10]
     for name, (weights, of_these) in parts.items():
         if name == "glide_sigma" and not solve_glide:
             expected |= {name: np.full(3, np.nan) for name in results if name.startswith("glide")}

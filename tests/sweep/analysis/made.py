@@ -25,10 +25,8 @@ def grid(value, error=None, x=N, name="n", unit="", status=None, published=None,
     axes, value = ("model", name), np.atleast_2d(np.asarray(value, dtype=float))
     models = max(2, len(value))
     value = np.broadcast_to(value, (models, len(x)))
-    variables = {
-        "width": (axes, value, {"units": "mas", "headline": 1}),
-        "status": (axes, np.full(value.shape, DONE, np.int8) if status is None else status),
-    }
+    variables = {"width": (axes, value, {"units": "mas", "headline": 1})}
+    variables["status"] = axes, np.full(value.shape, DONE, np.int8) if status is None else status
     if error is not None:
         variables["width_mc_error"] = (axes, np.broadcast_to(error, value.shape).astype(float), {"units": "mas"})
     if published is not None:

@@ -14,11 +14,8 @@ PICTURES |= {"error-surface": (1, r"reference error scale $\Delta_\mathrm{ref}$"
 PICTURES |= {"algorithm": (6, r"$|\epsilon|$ [mas] = $|\omega|$ [mas/yr]"), "radio-stars": (1, NUMBER)}
 PICTURES |= {"galaxies": (1, r"$\sigma(\omega)$ [mas/yr]"), "scatter": (1, r"$\omega_{x}$ [mas/yr]")}
 PICTURES |= {"pulsar-timing": (2, "component"), "icrf2-icrf3": (1, "component"), "magnitude-equation": (4, LIMIT)}
-MAPS = {
-    "product": lambda x, y: x * y,
-    "plateau": lambda x, y: min(x * y, 8.0),
-    "noise": lambda x, y: x + y + 7.0 * np.sin(1e4 * x * y),
-}
+MAPS = {"product": lambda x, y: x * y, "plateau": lambda x, y: min(x * y, 8.0)}
+MAPS["noise"] = lambda x, y: x + y + 7.0 * np.sin(1e4 * x * y)
 STUDY = """
 title = "A wave"
 experiment = "wave.py:wave"

@@ -90,11 +90,8 @@ def run(n):
 if __name__ == "__main__":
     first = [run(n) for n in (2, 3)][-1]
 """
-ACTS = {  # what acts on others, in which file
-    "set_a.py": "import decimal\ndecimal.getcontext().prec = 4\n",
-    "set_b.py": "import decimal\ndecimal.getcontext().prec = 8\n",
-    "by_b.py": "import set_b\n",
-}
+SETS = "import decimal\ndecimal.getcontext().prec = "
+ACTS = {"set_a.py": f"{SETS}4\n", "set_b.py": f"{SETS}8\n", "by_b.py": "import set_b\n"}  # on others, by file
 
 
 @pytest.fixture
@@ -140,14 +137,10 @@ def test_points_at_a_default_are_never_taken_for_those_at_another(tmp_path, swee
 
     assert run(2, "--axis", "x=1,2", "--axis", "z=2,3", "-o", "s.zarr")[0] == 0
     assert [run(z, "--axis", "x=5", "-o", store)[0] for z, store in ((2, "v.zarr"), (3, "t.zarr"))] == [0, 0]
-    for command in (
-        ["--axis", "x=1", "--set", "z=3", "-o", "s.zarr", "--accept-code"],
-        ["--axis", "x=1", "--set", "z=2", "-o", "v.zarr"],
-        ["--axis", "x=1", "-o", "s.zarr", "--redo", "old"],
-        ["--axis", "x=1", "-o", "s.zarr", "--only", "--accept-code"],
-        ["merge", "s.zarr", "t.zarr", "-o", "u.zarr", "--accept-code"],
-    ):
-        code, _, err = run(3, *command)
+    commands = ["--axis x=1 --set z=3 -o s.zarr --accept-code", "--axis x=1 --set z=2 -o v.zarr"]
+    commands += ["--axis x=1 -o s.zarr --redo old", "--axis x=1 -o s.zarr --only --accept-code"]
+    for command in (*commands, "merge s.zarr t.zarr -o u.zarr --accept-code"):
+        code, _, err = run(3, *command.split())
         assert (code, "default of z is 2" in err) == (2, True), err
     assert linksweep.open(tmp_path / "s.zarr").f.values.tolist() == [[102.0, 103.0], [202.0, 203.0]]
 

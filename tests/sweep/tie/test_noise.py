@@ -58,10 +58,8 @@ def test_the_noise_has_the_largest_restricted_likelihood(tmp_path, seed, n):
         return np.linalg.slogdet(whole)[1] + z @ np.linalg.solve(whole, z)
 
     found = link.noise_size.values**2
-    best = min(
-        minimize(deviance, start, bounds=[(0.0, None)] * len(found), options={"maxfun": 10_000}).fun
-        for start in (0.02 * np.ones(len(found)), found + 1e-3)
-    )
+    starts, how = (0.02 * np.ones(len(found)), found + 1e-3), {"options": {"maxfun": 10_000}}
+    best = min(minimize(deviance, start, bounds=[(0.0, None)] * len(found), **how).fun for start in starts)
     assert deviance(found) < best + 1e-4
     # the information, 1/2 tr(P G P G), and the solution with these errors
     half = np.linalg.inv(known + np.tensordot(found, noisy, axes=1)) @ noisy
