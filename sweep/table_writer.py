@@ -93,7 +93,7 @@ class Table:
             kept = [column for column in kept if (column.rank, column.quantity) != (rank, last)]
         missing = [column for column in self.columns if column not in kept]
         names = [c.name if c.quantity in ("", c.name) else f"{c.quantity} {c.name}" for c in missing]
-        return replace(self, columns=kept), ", ".join(names)
+        return replace(self, columns=kept), ", ".join(names).replace("\n", " ")
 
     def text(self, width: int | None = None, styled: bool = False) -> str:
         """Return the table for reading: numbers are aligned at the right, and no cell is cut.

@@ -54,9 +54,9 @@ LARGER = {
 LARGEST = {"mas": 1000.0, "mas/yr": 12_000.0, "mas/yr2": 300.0, "mas/yr3": 300.0}
 
 # Shifts of epochs (years) from which the best is looked for.
-STARTS = tuple(sign * years for years in (0, 2, 5, 10, *range(20, 201, 20)) for sign in (1.0, -1.0))
+STARTS = range(-200, 201, 20)
 # Steps of epochs (years) that are rounded.
-STEPS = (1.0, 0.1, 0.01)
+STEPS = (1.0, 0.5, 0.1, 0.01)
 
 # Epochs of positions with errors below 10 mas.
 EARLIEST, LATEST, WHEN_NONE = 1970.0, 2060.0, "when no position had errors below 10 mas"
@@ -344,7 +344,7 @@ def _causes(problem: Problem, part: _Part, ratio: float) -> Iterator[Cause]:
         free = {0.6 * steps[0]: f"in steps of {steps[0]:g} yr, in which stars move by more than the errors"} | free
     for years, words in free.items():
         along, across = (_ratio(_applied(problem, part, _freed(problem, turn, years))) for turn in (False, True))
-        if explains(along, ratio) and (not explains(across, ratio) or along < 0.2 * across):
+        if explains(along, ratio) and (not explains(across, ratio) or along < 0.5 * across):
             yield Cause(f"epochs of {part.words} {words}", along, 1)
             return
 

@@ -603,8 +603,9 @@ def columns() -> int:
     """Return the width of the terminal, that of sentences where it has none or there is no terminal: a file has the
     same bytes whatever terminal the command was typed in.
     """
-    known = os.get_terminal_size(RESULTS[0].fileno()) if RESULTS[0].isatty() else None
-    return WIDTH if known is None else max(NARROWEST, shutil.get_terminal_size(known).columns or WIDTH)
+    if not RESULTS[0].isatty():
+        return WIDTH
+    return max(NARROWEST, shutil.get_terminal_size(os.get_terminal_size(RESULTS[0].fileno())).columns or WIDTH)
 
 
 def print_wrapped(text: str, first: str = "", later: str = "") -> None:

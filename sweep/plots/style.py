@@ -592,11 +592,10 @@ def _signs(figure: Figure, dataset: xr.Dataset) -> list[str]:
         sources = sorted({str(v.attrs["source"]) for v in dataset.data_vars.values() if "source" in v.attrs})
         sentences.append(": ".join(filter(None, ["Open symbols are published", "; ".join(sources)])) + ".")
     sentences += [words for label, words in UNLABELLED.items() if label in labels]
-    numbers = {name: dataset[name].values for name in _drawn(figure, dataset) if dataset[name].dtype.kind == "f"}
-    infinite = {name: int(np.isinf(values).sum()) for name, values in numbers.items()}
-    return sentences + [
-        f"Not drawn: {formatting.counted(n, 'infinite value')} of {x}." for x, n in infinite.items() if n
-    ]
+    for name in _drawn(figure, dataset):
+        if dataset[name].dtype.kind == "f" and (n := int(np.isinf(dataset[name]).sum())):
+            sentences.append(f"Not drawn: {formatting.counted(n, 'infinite value')} of {name}.")
+    return sentences
 
 
 def _has_error_bars(axes: Axes) -> bool:

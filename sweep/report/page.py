@@ -277,8 +277,7 @@ def _axes(dataset: xr.Dataset, dims: Sequence[str]) -> Iterator[dict[str, Any]]:
 def _numbers(array: xr.DataArray) -> list[Any]:
     """Return the numbers of an array in C order, None where missing, those that JavaScript or JSON lacks as texts."""
     flat = array.values.reshape(-1).tolist()
-    as_text = [abs(n) > 2**53 if isinstance(n, int) else np.isinf(n) for n in flat]
-    texts = (str(n).replace("inf", "Infinity") if large else n for n, large in zip(flat, as_text, strict=True))
+    texts = (str(n) if (abs(n) > 2**53 if isinstance(n, int) else np.isinf(n)) else n for n in flat)
     return [None if formatting.is_missing(n) else n for n in texts]
 
 

@@ -796,7 +796,7 @@ def tables(matches: xr.Dataset) -> list[Table]:
     summary = _summary(matches)
 
     def column(name: str, cells: Sequence[str], unit: str = "", left: bool = False) -> Column:
-        return Column(name, cells, cells, unit, left=left)
+        return Column(name, cells, cells, unit, name, rank=0 if left else 1, left=left)
 
     def with_scatter(value: Mapping[str, float | None] | None, digits: int) -> str:
         if value is None or (mean := value["mean"]) is None:

@@ -58,7 +58,7 @@ _RULE = re.compile(r"(?=.*[-=]{2})[-=+\s]+")
 # A number, an angle, a limit such as <0.5, or a mark, but no name or word.
 _VALUE = re.compile(r"(\W|\d|_|(?<=[\d.])[eEdDhms]|inf)+")
 _CLOCK = re.compile(r'"?([hd])\1?([: ]?)mm?\2ss?"?')  # of text like 12 34 56.7: "h:m:s" at VizieR, or hh:mm:ss
-_NO_UNIT = re.compile(r"-*|J2000(\.0)?|ICR[SF]\d?")  # the frame of positions
+_NO_UNIT = re.compile(r"-*|J\d{4}(\.\d+)?|ICR[SF]\d?")  # the frame or epoch of positions
 # Name and description of a column in VizieR's TSV.
 _MEANINGS = re.compile(r"^#Column\t(\S+)\t\S+\t([^\t\n]*)", re.MULTILINE)
 # How tables spell units out; dates are numbers of days.

@@ -417,15 +417,16 @@ def _by_position(satellite: AstrometricTable, reference: AstrometricTable, radiu
     for epoch in np.unique(epochs):  # the sources move, so that each epoch has a tree of its own
         at = np.flatnonzero(epochs == epoch)
         tree = cKDTree(_directions(sources, np.full(len(sources), epoch)).T)
-        distance, nearest = map(np.asarray, tree.query(triad(*rows.values[:2, at]).r.T, k=2))
+        there = triad(*rows.values[:2, at]).r.T
+        # without a bound rows far from all sources take minutes
+        distance, nearest = map(np.asarray, tree.query(there, k=2, distance_upper_bound=2.0 * chord))
         place[at], second[at] = np.where(distance <= chord, nearest, -1).T
     if np.all(place < 0):
         both = [(table.path, triad(*table.astrometry.values[:2]).r) for table in (satellite, reference)]
-        for (path, one), (_, other) in permutations(both):
-            tree, enough = cKDTree(other.T), 0.25 * min(len(sources), len(rows))
-            for words, turned in _otherwise(one):
-                if np.count_nonzero(tree.query(turned.T)[0] < NEARBY) > enough:
-                    hint = f"; are the positions of {Path(path).name} {words}?"
+        for question, turned, other in _otherwise(both):
+            apart, _ = cKDTree(other.T).query(turned.T, distance_upper_bound=NEARBY)
+            if np.isfinite(apart).sum() > 0.25 * min(len(sources), len(rows)):
+                hint = f"; {question}"
         raise SweepError(f"no row of the reference is within {radius:g} arcsec of a source{hint}", reference.path)
     return Match(place, f"position within {radius:g} arcsec", second)
 
@@ -460,26 +461,29 @@ def far_rows(satellite: AstrometricTable, table: AstrometricTable, matched: Matc
     whose = "their source" if matched.by.startswith("position") else "the source of the same name"
     note = f"{named_rows(matched.rows[far])} of {Path(table.path).name}: up to {size} from {whose}"
     nearby = min(NEARBY, 0.1 * np.median(between[far]))  # near the poles of such a turn all rows are
-    for (path, one), (_, other) in permutations(both):
-        for words, turned in _otherwise(one[:, far]):
-            if np.median(np.linalg.norm(turned - other[:, far], axis=0)) < nearby:
-                raise SweepError(f"{note}; are the positions of {Path(path).name} {words}?")
+    for question, turned, other in _otherwise([(path, one[:, far]) for path, one in both]):
+        if np.median(np.linalg.norm(turned - other, axis=0)) < nearby:
+            raise SweepError(f"{note}; {question}")
     elsewhere = _elsewhere(satellite, table, matched, far)
     if refused:
         raise SweepError(f"{note}; {elsewhere or 'are the names right, the epochs, and the units of the positions?'}")
     return [f"{note}; {elsewhere}" if elsewhere else note]
 
 
-def _otherwise(directions: Array) -> Iterator[tuple[str, Array]]:
-    """Yield what positions may be by mistake, and where they are then (3, N)."""
+def _otherwise(tables: Sequence[tuple[str, Array]]) -> Iterator[tuple[str, Array, Array]]:
+    """Yield what the positions of one of two tables may be by mistake, as a question, where they are then, and where
+    those of the other are; each (3, N).
+    """
     from astropy.coordinates import SkyCoord
 
-    ra, dec = position(directions)
-    ra = (ra + np.pi) % (2.0 * np.pi) - np.pi
-    for frame, words in OTHER_FRAMES.items():
-        yield words, SkyCoord(ra, dec, unit="rad", frame=frame).icrs.cartesian.xyz.value
-    yield "in hours", triad(15.0 * ra, dec).r
-    yield "in radians", triad(ra / DEGREE, dec / DEGREE).r
+    for (path, one), (_, other) in permutations(tables):
+        ra, dec = position(one)
+        ra = (ra + np.pi) % (2.0 * np.pi) - np.pi
+        turned = {"in hours": triad(15.0 * ra, dec).r, "in radians": triad(ra / DEGREE, dec / DEGREE).r}
+        for frame, words in OTHER_FRAMES.items():
+            turned[words] = SkyCoord(ra, dec, unit="rad", frame=frame).icrs.cartesian.xyz.value
+        for words, there in turned.items():
+            yield f"are the positions of {Path(path).name} {words}?", there, other
 
 
 def _elsewhere(satellite: AstrometricTable, table: AstrometricTable, matched: Match, far: Indices) -> str:

@@ -28,7 +28,7 @@
     if (known.every(Number.isInteger)) return 17;
     return span > 0 ? Math.min(17, 6 + Math.max(0, Math.floor(Math.log10(largest(known.map(Math.abs)) / span)))) : 15;
   };
-  const nan = (value) => (Number.isFinite(Number(value ?? NaN)) ? Number(value) : NaN);
+  const nan = (value) => Number(value ?? NaN);
   const shown = (value, digits) => (Number.isFinite(value) ? String(Number(value.toPrecision(digits))) : "");
   // Whether a number is in a range: itself, or as it is shown.
   const within = ([low, high], ...numbers) => numbers.some((value) => (low === null || value >= low) && (high === null || value <= high));
@@ -289,7 +289,7 @@
       const flat = (dims) => dims.reduce((sum, dim) => sum * this.size(dim) + (places[dim] ?? this.fixed[dim]), 0);
       const at = flat(this.quantity.dims);
       const part = (name) => nan(this.quantity[name]?.[at]);
-      const exact = this.quantity.value[at]; // a text of an integer that JavaScript has no number for, or of infinity
+      const exact = this.quantity.value[at]; // a text of an integer that JavaScript has no number for, or inf
       const excluded = this.excluded.has(flat(this.data.excluded.dims));
       return { value: part("value"), error: part("error"), predicted: part("predicted"), published: part("published"), exact, excluded };
     }
@@ -556,7 +556,7 @@
       const { choice, quantity } = this;
       const fixed = this.fixedDims().filter((dim) => this.size(dim) > 1).map((dim) => valued(this.axis(dim), this.fixed[dim]));
       const asked = flat.filter((row) => !row.excluded);
-      const infinite = asked.filter((row) => /Infinity/.test(row.exact)).length;
+      const infinite = asked.filter((row) => /inf/.test(row.exact)).length;
       const gone = asked.filter((row) => !Number.isFinite(row.value)).length - infinite;
       const isMap = choice.kind === "map";
       const sentences = [

@@ -152,7 +152,7 @@ def test_rows_of_texts_are_no_units(first, below, tmp_path):
 
 
 def test_units_in_names_and_errors_of_parts_are_found(tmp_path):
-    text = "Name (old),RA [deg],Dec (J2000),RA_err (uas),pmRA [arcsec/century]\nA,10.5,20,3,1\n"
+    text = "Name (old),RA [deg],Dec (J2016.0),RA_err (uas),pmRA [arcsec/century]\nA,10.5,20,3,1\n"
     read = Columns(read_table(written(tmp_path, "t.csv", text)))
     found = [read.quantity(name)[0] for name in ("ra", "dec", "ra_error", "pmra")]
     np.testing.assert_allclose(found, [10.5, 20.0, 0.003, np.nan])
