@@ -445,8 +445,8 @@ def indices(dataset: xr.Dataset, places: Mapping[str, Any]) -> dict[str, list[in
         dimension = str(dataset[name].dims[0])
         values = listed(dataset, name, [dimension])
         exact = list(dataset[name].values) if dataset[name].dtype.kind == "M" else values
-        hits = {i for i, value in enumerate(exact) if _is_meant(value, wanted)}
-        if not (hits := hits or meant(values, wanted)) and not isinstance(wanted, str):
+        hits = {i for i, value in enumerate(exact) if _is_meant(value, wanted)} or meant(values, wanted)
+        if not hits and not isinstance(wanted, str):
             label = str(plain_value(wanted, name))  # an axis with objects has their labels
             hits = {i for i, value in enumerate(values) if value == label}
         if not hits:
