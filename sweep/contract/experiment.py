@@ -453,7 +453,8 @@ class Parameter:
         bounds = {">=": self.minimum, ">": self.above, "<=": self.maximum}
         words = [f"{symbol} {plain([float(bound)])[0]}" for symbol, bound in bounds.items() if bound is not None]
         limits = f" {' and '.join(words)}" if words and self.kind != "bool" else ""
-        return WORDS[self.kind] + limits + (f" [{self.unit}]" if self.unit else "") + none
+        kind = WORDS[self.kind] if self.finite else WORDS[self.kind].replace("finite ", "")
+        return kind + limits + (f" [{self.unit}]" if self.unit else "") + none
 
 
 @dataclass(frozen=True)

@@ -150,7 +150,7 @@ class Condition:
         there = {name for value in values for name in _names(value)} if self.among else set()
         lacking = [value for value in self.among or () if there.isdisjoint(_names(value))]
         named = [value for value in lacking if not str(value).startswith("sha256:")][:20]
-        known = [str(value) for value in values if isinstance(value, str | Named)][:1000]
+        known = list(dict.fromkeys(str(value) for value in values if isinstance(value, str | Named)))[:1000]
         near = [one for one in named if nearest(str(one), known)]
         if is_met and (is_declared or not near):
             return ""

@@ -21,9 +21,9 @@ COLUMNS = {"beta": [0.5, 0.25, 0.5], "k": [1, 3, 1], "solver": ["a", "none", "a"
 FRAME = pd.DataFrame(COLUMNS)
 RANGES = {"beta": {"low": 0.01, "high": 1.0, "spacing": "log"}, "k": {"low": 1, "high": 9, "spacing": "log"}}
 GROWS = {"sobol": True, "latin-hypercube": False, "halton": True, "random": True, "saltelli": True, "morris": True}
-CELLS = [("beta\n2.5\noops\n1.5\n", "row 2: beta = 'oops': must be a finite number > 0 [1/d]")]
-CELLS += [('beta,k\n2.5,1\n"1,200",1\n', "row 2: beta = '1,200': must be a finite number > 0 [1/d]")]
-CELLS += [("beta;k\n2,5;1\nx;1\n1,5;1\n", "row 2: beta = 'x': must be a finite number > 0 [1/d]")]
+CELLS = [("beta\n2.5\noops\n1.5\n", "row 2: beta = 'oops': must be a number > 0 [1/d]")]
+CELLS += [('beta,k\n2.5,1\n"1,200",1\n', "row 2: beta = '1,200': must be a number > 0 [1/d]")]
+CELLS += [("beta;k\n2,5;1\nx;1\n1,5;1\n", "row 2: beta = 'x': must be a number > 0 [1/d]")]
 CELLS += [("k\n1\n1_0\n", "row 2: k = '1_0': must be an integer")]
 CELLS += [("k\n1\n99999999999999999999\n", "row 2: k = 99999999999999999999: must be an integer, below 2**63 in size")]
 DERIVED = """
@@ -90,7 +90,7 @@ WRONG = [
     ({"beta": [1.0, 2.0], "kk": [1, 2]}, "points.columns.kk: unknown parameter 'kk'; did you mean 'k'?"),
     ({"beta": [1.0, np.nan]}, "points.columns.beta: has no value in row 2"),
     (Table({"k": MaskedColumn([1, 2], mask=[True, False])}), "points.columns.k: has no value in row 1"),
-    ({"beta": [1.0, -2.0]}, "points.columns.beta: row 2: beta = -2.0: must be a finite number > 0"),
+    ({"beta": [1.0, -2.0]}, "points.columns.beta: row 2: beta = -2.0: must be a number > 0"),
     ({"k": [1, 2.5]}, "points.columns.k: row 2: k = 2.5: must be an integer"),
     ({"beta": [1.0, 2.0], "k": [1]}, "the same number of values; beta has 2, k has 1"),
     (Table({"beta": [1.0] * u.m}), "its column is in m, and the parameter is in 1/d"),
@@ -98,7 +98,7 @@ WRONG = [
     (3, "must be a DataFrame, a Table, a mapping of columns, a file or a design"),
     (sobol(design="sobl"), "points.design: input should be 'sobol',"),
     (sobol(n=None), "n = None, ranges = {'beta': [1, 2]}: a design needs both"),
-    (sobol(ranges={"beta": [0, 2]}), "points.ranges.beta: beta = 0: must be a finite number > 0"),
+    (sobol(ranges={"beta": [0, 2]}), "points.ranges.beta: beta = 0: must be a number > 0"),
     (sobol(ranges={"beta": [2, 1]}), "low = 2 must be less than high = 1"),
     (sobol(ranges={"solver": ["a", "b"]}), "write { values = [...] }"),
     (sobol(ranges={"k": {"low": 0, "high": 9, "spacing": "log"}}), "log spacing needs numbers above 0, not 0"),
