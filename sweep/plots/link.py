@@ -123,12 +123,12 @@ def galaxy_figure(dataset: xr.Dataset) -> Figure:
     axes.plot([], [], **points, markersize=4.0, label=f"galaxy catalogues ({entries:,}{share})")
     axes.plot([-np.pi, np.pi], [0.0, 0.0], color="black", linewidth=1.0, zorder=2, label="Galactic plane, $b = 0$")
     x, y = places("ra", "dec")
+    look: dict[str, Any] = {"markersize": 5.0, "markeredgecolor": "white", "markeredgewidth": 0.5, "zorder": 4}
+    # an object at the edge of the map is shown whole; the layout takes a class without any for one at the corner
+    look |= {"clip_on": False, "in_layout": False}
     for (name, marker), colour in zip(CLASS_MARKERS.items(), style.COLOURS, strict=False):
-        mine, look = dataset["class"].values == name, {"markerfacecolor": colour, "markeredgewidth": 0.5, "zorder": 4}
-        look |= {"linestyle": "none", "marker": marker, "markersize": 5.0, "markeredgecolor": "white"}
-        # an object at the edge of the map is shown whole; the layout takes a class without any for one at the corner
-        look |= {"clip_on": False, "in_layout": False}
-        axes.plot(x[mine], y[mine], **look, label=f"{name} ({np.count_nonzero(mine):,})")
+        mine = dataset["class"].values == name
+        axes.plot(x[mine], y[mine], marker, color=colour, **look, label=f"{name} ({np.count_nonzero(mine):,})")
     return figure
 
 
