@@ -701,9 +701,9 @@ def _nodes_at_import(node: ast.AST) -> Iterator[ast.AST]:
 
 
 def _is_registered(node: Any, names: Names) -> bool:
-    """Return whether a decorator registers a definition somewhere: one that returns the function or class as it was,
-    without a mark on it, can have done nothing else.  Those of Python make definitions, and what a value of the user's
-    is given is in that value.
+    """Return whether a decorator, or the hook of a base class, registers a definition somewhere: one that returns the
+    function or class as it was, without a mark on it, can have done nothing else.  Those of Python make definitions,
+    and what a value of the user's is given is in that value.
     """
     value = names.get(node.name)
     is_kept = isinstance(value, FunctionType | type) and value.__name__ == node.name

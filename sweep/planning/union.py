@@ -144,12 +144,11 @@ def _repeat(rows: Rows, table: tuple[str, ...], *grids: Grid) -> bool:
     """Return whether values of an axis repeat, or rows of a ``table`` along more places of other axes than in a grid
     that has them.
     """
-    axes = _columns({names: some for names, some in rows.items() if names != table})
-    along = math.prod(len(some) for names, some in rows.items() if names != table)
-    doubled = [one.rows[POINT] for one in grids if len(one) < along * len(one.rows.get(POINT, ()))]
-    return any(
-        turn for some in (*([(v,) for v in some] for some in axes.values()), *doubled) for _, turn in _keys(some)
-    )
+    others = {names: some for names, some in rows.items() if names != table}
+    along = math.prod(map(len, others.values()))
+    distinct = [[(value,) for value in column] for column in _columns(others).values()]
+    distinct += [one.rows[POINT] for one in grids if len(one) < along * len(one.rows.get(POINT, ()))]
+    return any(turn for some in distinct for _, turn in _keys(some))
 
 
 def _columns(rows: Rows) -> dict[str, tuple[Value, ...]]:

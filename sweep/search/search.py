@@ -570,7 +570,7 @@ def find_galaxies(
         if without := [path for name, path in search.stars.items() if TYC[0] not in result.stars[name]]:
             needed = "the 46-byte table needs columns TYC1, TYC2 and TYC3, or TYC with strings like '1-13-1'"
             raise SweepError([f"{path}: {needed}" for path in without])
-        contents[table] = galaxy_table(match_columns(result)).encode("ascii")
+        contents[table] = galaxy_table(matches.drop_dims("entry").to_dataframe()).encode("ascii")
     if figure is not None:
         from linksweep.sweep.plots import figure as drawing, style
 
