@@ -424,6 +424,9 @@ def command(section: str, summary: str, name: str | None = None) -> Callable[[Ca
         declared = group(function)
 
         def call(**values: Any) -> None:
+            if not gc.isenabled():
+                gc.freeze()  # what is imported is not garbage, nor is it searched again later
+                gc.enable()
             RESULTS[0] = sys.stdout
             with redirect_stdout(sys.stderr):
                 declared.call(values)

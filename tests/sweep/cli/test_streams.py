@@ -19,11 +19,11 @@ def f(place: int):
 """
 SAID = "error: standard output cannot be written: No space left on device\n"
 LOUD = """
-import logging, os, sys
+import gc, logging, os, sys
 {at_import}
 def loud(x: float):
     {in_function}
-    if x == 2:
+    if x == 2 and gc.isenabled():
         raise ValueError("no")
     return x
 """
