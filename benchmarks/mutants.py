@@ -149,10 +149,13 @@ def _is_text(node: ast.BinOp) -> bool:
     )
 
 
-def nearest_tests(file: str) -> str:
-    """Return the folder of tests of a file: that of the same name, or the nearest above it."""
+def nearest_tests(file: str) -> tuple[str, ...]:
+    """Return the folders of tests of a file: that of the same name, or the nearest above it; and of ties that of their
+    commands too, by which the core of ties is tested.
+    """
     folder = Path("tests") / Path(file).parent
-    return str(next(f for f in (folder, *folder.parents) if (ROOT / f).is_dir()))
+    nearest = next(f for f in (folder, *folder.parents) if (ROOT / f).is_dir())
+    return (str(nearest), "tests/sweep/tie") if nearest == Path("tests/core/tie") else (str(nearest),)
 
 
 def copy_of_checkout(folder: Path) -> Path:
@@ -242,7 +245,7 @@ def main() -> int:
         copy = copy_of_checkout(Path(folder))
         for mutant in chosen:
             start = time.monotonic()
-            verdicts.append(verdict(mutant, tuple(options.tests or [nearest_tests(mutant.file)]), copy))
+            verdicts.append(verdict(mutant, tuple(options.tests or nearest_tests(mutant.file)), copy))
             print(f"{verdicts[-1]:10} {time.monotonic() - start:5.0f} s  {mutant}", flush=True)
     killed = verdicts.count("killed")
     print(f"{killed} of {len(chosen)} killed")
