@@ -96,9 +96,9 @@ MISSING = [("ruwe >= 1.4", [1, 2]), ("ruwe != 1.4", [0, 2]), ("~(ruwe < 1.4)", [
 MISSING += [("~duplicated_source & ~good", [1, 3]), ("name in ['A', 'C']", [0, 2]), ("`B-V` < 0.6 & `lambda` > 1", [2])]
 MISSING += [("name == 'A & B' | g > 14.5", [3])]
 REFUSED = [("ruwee < 1.4", "no column 'ruwee'; did you mean 'ruwe'"), ("ruwe < ", "at the end"), ("", "where")]
-REFUSED += [("ruwe < 1.4 & (g < 13", r"at character 14, '\(g < 13'"), ("ruwe.real < 1", "not allowed")]
+REFUSED += [("ruwe < 1.4 & (g < 13", r"at '\(g < 13'"), ("ruwe.real < 1", "not allowed")]
 REFUSED += [("__import__('os').system('true')", "not allowed"), ("ruwe", "numbers without a comparison")]
-REFUSED += [("ruwe < 1.4 & name < 3", "text cannot be compared with numbers in this way .*at character 21, '3'")]
+REFUSED += [("ruwe < 1.4 & name < 3", "text cannot be compared with numbers in this way .*, name < 3")]
 REFUSED += [("ruwe + 1 < 2", "not allowed"), ("ruwe in 3", "not a list"), ("pair < 1", "neither numbers nor text")]
 REFUSED += [("ruwe < 0.1", "keeps none of 4 rows; ruwe is 0.9 to 2.0"), ("not " * 5000 + "good", "where")]
 BELOW = ["x,m", "\nx,1", "# by hand\nx,m", "B,1\nA,2", "B,\n3C273,2", "3C273,1\n4C4,2", "-,1\n+,2"]
@@ -341,7 +341,7 @@ def test_rows_are_those_of_pandas(condition):
 
 @settings(max_examples=examples(300))
 @given(st.text(alphabet="ab ns<>=!&|~()[]{}'\"`.,:0123eE+-*/%^@#lambdinotrue_\\\n\té", max_size=30))
-def test_any_text_gives_rows_or_is_refused_with_its_place(condition):
+def test_any_text_gives_rows_or_is_refused(condition):
     try:
         rows = rows_where(TABLE, condition)
     except SweepError:
@@ -350,7 +350,7 @@ def test_any_text_gives_rows_or_is_refused_with_its_place(condition):
 
 
 @pytest.mark.parametrize(("condition", "words"), REFUSED)
-def test_what_is_refused_names_the_place_and_the_cause(condition, words):
+def test_what_is_refused_names_the_piece_and_the_cause(condition, words):
     with pytest.raises(SweepError, match=words):
         rows_where(stars(), condition)
 
