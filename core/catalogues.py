@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from linksweep.core.frames import DEGREE, GALACTIC_AXES, MAS, Array, Indices, position
-from linksweep.sweep.contract import Point, SweepError
+from linksweep.sweep.contract import Point
 
 SIDES = ("reference", "satellite")
 
@@ -206,15 +206,6 @@ class CatalogueKind:
         decides = sorted({*self.uses(point), "catalogue", "n_obj"} - ({"v_max"} if nested else set()))
         family: Hashable = (nested, *((name, point[name]) for name in decides))
         return NestedDraw(family, self.size(point), partial(self.draw, point), self.draws_several)
-
-    def why_not(self, point: Point) -> str | None:
-        """Return `problem` as a sentence, also where it or reading a table raises an error."""
-        try:
-            return self.problem(point)
-        except (ValueError, SweepError) as error:
-            where = getattr(error, "where", "")
-            said = "; ".join(getattr(error, "problems", [str(error)]))
-            return f"{said} ({where})" if where else said
 
 
 def _sky(point: Point) -> Sky:

@@ -13,11 +13,10 @@ from linksweep.core import setup
 from linksweep.core.catalogues import CATALOGUES, RANDOM_SKY, SIDES, File
 from linksweep.core.errors import ERROR_MODELS, ErrorModel, error_models
 from linksweep.core.frames import Array
-from linksweep.core.missions import CurveError, MissionUnavailableError
 from linksweep.core.parameters import OUTPUTS, PARAMETERS, SAMPLE_OUTPUTS, SHARED, UNITS
 from linksweep.core.simulate import Streams, can_stack, simulate, simulate_stack
 from linksweep.core.unknowns import ALWAYS, GLIDE, GLIDE_LABELS, LABELS, ORIENTATION, SPIN, link_unknowns
-from linksweep.sweep.contract import Experiment, Point, enlarged_error, small_sample_factor
+from linksweep.sweep.contract import Experiment, Point, SweepError, enlarged_error, small_sample_factor
 
 SMALLEST_ERROR, LARGEST_ERROR = 1e-9, 1e7
 """Errors in mas and mas/yr between which the link is computed: outside, weights overflow or an error is not a small
@@ -47,16 +46,16 @@ LARGE_SHARE = 0.1
 
 def check(point: Point) -> str | None:
     """Return why this point cannot be computed, or None."""
-    if problem := _catalogue_problem(point) or _systematics_problem(point):
-        return problem
     try:
+        if problem := _catalogue_problem(point) or _systematics_problem(point):
+            return problem
         # before any error is computed: a curve may not reach these magnitudes
         for side, model in zip(SIDES, models := error_models(point), strict=True):
             if problem := model.problem(point, side, setup.catalogue_kind(point)):
                 return problem
         errors = setup.expected_errors(point, models)
         return _errors_problem(point, errors) or _projected_problem(point, models, errors)
-    except (MissionUnavailableError, CurveError) as error:
+    except (SweepError, ValueError) as error:  # of tables, counts, curves and patterns
         return str(error)
 
 
@@ -67,7 +66,7 @@ def _catalogue_problem(point: Point) -> str | None:
         return "file: catalogue = 'file' needs a file, and other catalogues have none"
     if not uses >= RANDOM_SKY and (point["zone_of_avoidance"] > 0.0 or point["sky_contrast"] != 0.0):
         return "zone_of_avoidance and sky_contrast are for random positions (positions = 'isotropic')"
-    if problem := kind.why_not(point):
+    if problem := kind.problem(point):
         return problem
     if point["solve_glide"] and setup.catalogue_size(point) < SMALLEST_GLIDE:
         size = setup.catalogue_size(point)
@@ -82,11 +81,7 @@ def _systematics_problem(point: Point) -> str | None:
     for name in ("epsilon", "omega", "omega_slope"):
         if name not in random and point[f"{name}_size"] and not any(point[name]):
             return f"{name}_size = {point[f'{name}_size']:g}: {name} = {list(point[name])} gives it no direction"
-    try:
-        need_magnitudes = setup.systematics(point).need_magnitudes
-    except ValueError as error:
-        return f"motion_field = {point['motion_field']!r}: {error}"
-    if need_magnitudes and any(map(math.isnan, setup.catalogue_kind(point).magnitudes(point))):
+    if setup.systematics(point).need_magnitudes and any(map(math.isnan, setup.catalogue_kind(point).magnitudes(point))):
         return "omega_slope and magnitude equations need magnitudes (v_mag, phot_g_mean_mag, vt_mag) in the file"
     return None
 

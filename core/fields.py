@@ -185,17 +185,17 @@ def parse_pattern(text: str) -> Pattern:
         name, equals, number = (word.strip() for word in entry.partition("="))
         if (term := _terms_by_label().get(name)) is None:
             known = f"t_L_0, t_L_M_re, t_L_M_im (toroidal), s_L_0 ... (spheroidal) of degrees L = 1 to {HIGHEST_DEGREE}"
-            raise ValueError(f"{name!r} is no vector spherical harmonic; those are {known}, M = 1 to L, like s_2_1_re")
+            raise ValueError(f"motion_field: {name!r} is no harmonic; those are {known}, M = 1 to L, like s_2_1_re")
         if term in pattern:
-            raise ValueError(f"{name} twice")
+            raise ValueError(f"motion_field: {name} twice")
         try:  # NaN and infinity are numbers to float, and fail the next test
             pattern[term] = float(number) if equals else 1.0
         except ValueError:
             pattern[term] = np.nan
         if not abs(pattern[term]) <= 1e8:
-            raise ValueError(f"{name} = {number!r}: must be a number of mas/yr, at most 1e8")
+            raise ValueError(f"motion_field: {name} = {number!r} must be a number of mas/yr, at most 1e8")
     if not any(pattern.values()):
-        raise ValueError("no harmonic with a coefficient that is not zero, such as 't_2_0=0.5,s_2_1_re'")
+        raise ValueError("motion_field: no harmonic with a coefficient that is not zero, such as 't_2_0=0.5,s_2_1_re'")
     return tuple(pattern.items())
 
 

@@ -17,12 +17,8 @@ Curve = Callable[[Array], Array]
 """A function that returns the standard error at each magnitude, in the same shape."""
 
 
-class MissionUnavailableError(ImportError):
-    """A mission's curve needs a package that is not installed; the message says how to install it."""
-
-
 class CurveError(ValueError):
-    """A user's curve has no valid value at some magnitude."""
+    """A curve has no valid value at some magnitude, or needs a package that is not installed."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +95,7 @@ class PyGaia:
 
     The study's V is taken as G; for quasars G - V is about -0.1 to 0 mag, which changes an error by at most 9 %.  The
     formula holds for G = 3 to 21 and is constant brighter than 13.
-    Raises MissionUnavailableError, when it is called, without the package PyGaia.
+    Raises CurveError, when it is called, without the package PyGaia.
     Source: PyGaia (A. Brown), `pygaia.errors.astrometric`, the model of ESA's Gaia science performance pages.
     """
 
@@ -112,7 +108,7 @@ class PyGaia:
             from pygaia.errors import astrometric
         except ImportError as error:
             said = f"the model 'gaia-{self.release}' needs PyGaia: pip install 'linksweep[gaia]' ({error})"
-            raise MissionUnavailableError(said) from error
+            raise CurveError(said) from error
         formula = getattr(astrometric, f"{self.quantity}_uncertainty")
         ra_uas, dec_uas = formula(np.atleast_1d(v_mag), release=self.release)
         return np.asarray(np.sqrt((ra_uas**2 + dec_uas**2) / 2.0) / 1000.0).reshape(np.shape(v_mag))

@@ -132,16 +132,14 @@ def published_numbers(model: Model) -> pd.DataFrame:
     return numbers.reset_index(drop=True)
 
 
-def published_model(
-    numbers: pd.DataFrame, skies: dict[str, Skies], curve: Curve, weighting: Weighting = "inverse-variance"
-) -> tuple[Array, Array]:
+def published_model(numbers: pd.DataFrame, skies: dict[str, Skies], curve: Curve) -> tuple[Array, Array]:
     """Return what the closed form gives for each published number, RMS over the catalogues in mas/yr, and the relative
     error of that for the finite number of catalogues; both of shape (M,).
     """
     sigma, error = np.empty((2, len(numbers)))
     for (kind, scale), rows in numbers.groupby(["kind", "scale"]):
         sky = skies[kind]
-        each = spin_variance(sky, curve, weighting, scale)[[sky.counts.index(n) for n in rows["n_obj"]]]
+        each = spin_variance(sky, curve, reference_error_scale=scale)[[sky.counts.index(n) for n in rows["n_obj"]]]
         sigma[rows.index] = np.sqrt(each.mean(axis=1))
         error[rows.index] = 0.5 * each.std(axis=1, ddof=1) / each.mean(axis=1) / np.sqrt(each.shape[1])
     return sigma, error
@@ -194,7 +192,7 @@ class Fit:
     dof: int
 
 
-def fit(model: Model, numbers: pd.DataFrame, skies: dict[str, Skies], weighting: Weighting = "inverse-variance") -> Fit:
+def fit(model: Model, numbers: pd.DataFrame, skies: dict[str, Skies]) -> Fit:
     """Fit a curve's constants to published numbers by least squares of log sigma in log constants.
 
     Each number weighs by its rounding error (half a unit of the last digit over sqrt 3), the paper's Monte-Carlo error,
@@ -202,11 +200,11 @@ def fit(model: Model, numbers: pd.DataFrame, skies: dict[str, Skies], weighting:
     """
     published, start = numbers["sigma"].to_numpy(), np.log(constants_of(model))
     rounding = numbers["rounding"].to_numpy() / published / np.sqrt(3.0)
-    _, ours = published_model(numbers, skies, CALIBRATED[model].curve, weighting)
+    _, ours = published_model(numbers, skies, CALIBRATED[model].curve)
     relative_error = np.sqrt(rounding**2 + PAPER_MC_ERROR**2 + ours**2 + MODEL_ERROR**2)
 
     def misfit(log_constants: Array) -> Array:
-        sigma, _ = published_model(numbers, skies, curve_of(model, np.exp(log_constants)), weighting)
+        sigma, _ = published_model(numbers, skies, curve_of(model, np.exp(log_constants)))
         return np.asarray(np.log(sigma / published) / relative_error)
 
     solved = optimize.least_squares(misfit, start, bounds=(start - 6.0, start + 6.0), x_scale=0.1, xtol=1e-6, ftol=1e-6)

@@ -203,7 +203,7 @@ def accuracy_curves(models: Sequence[str | Named] = ()) -> xr.Dataset:
             raise SweepError(f"no model {shown(name)}{suggest(name, list(missions.MISSIONS))}")
         try:
             sigma_pos, sigma_pm = missions.mission_of(model).sigmas_to_limit(v)
-        except (missions.MissionUnavailableError, missions.CurveError) as error:
+        except missions.CurveError as error:
             if models:
                 raise SweepError(str(error)) from error
             continue

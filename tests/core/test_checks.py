@@ -16,7 +16,7 @@ OF_VLBI = {"columns": (("reference_pmdec_error", "d"), ("reference_pmra_error", 
 MOTIONS, POSITIONS = ({"satellite_errors": "normal", f"satellite_sigma_{kind}": 0.0} for kind in ("pos", "pm"))
 QUASARS, GALAXIES, RADIO = ({"catalogue": name} for name in ("quasars", "galaxies", "radio-stars"))
 PROJECTED, NO_MAGNITUDES = {"method": "projected"}, {"contents": {"phot_g_mean_mag": None}}
-WRONG = [({"motion_field": "t_2"}, "motion_field = 't_2': 't_2' is no vector spherical harmonic; those are t_L_0")]
+WRONG = [({"motion_field": "t_2"}, "motion_field: 't_2' is no harmonic; those are t_L_0")]
 WRONG += [*(({"motion_field": "t_51_0"}, "degrees L = 1 to 50"), ({"motion_field": "t_2_0,t_2_0"}, "t_2_0 twice"))]
 WRONG += [({"motion_field": "t_2_0=0"}, "no harmonic with a coefficient that is not zero")]
 WRONG += [({"epsilon": [0.0, 0.0, 1.0], "directions": "random", "epsilon_size": 1.0}, "1.0) changes nothing")]
