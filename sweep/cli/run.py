@@ -894,6 +894,8 @@ def match(
     """
     from linksweep.sweep.search.search import find_galaxies, plan_search
 
+    if figure is not None:
+        cli.drawing_styles().require_format(figure)
     matches = find_galaxies(plan_search(stars, galaxies, supplement, **search), output, table, figure, overwrite)
     cli.print_result(matches, "json" if as_json else "text")
     for path in filter(None, (output, table, figure)):

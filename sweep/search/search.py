@@ -14,8 +14,8 @@ import os
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from importlib.metadata import version
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,10 +26,9 @@ from scipy.spatial import KDTree
 
 from linksweep.core.frames import ARCSEC, DEGREE, MAS, Array, Flags, Indices, position, triad
 from linksweep.sweep.contract import Parameter, SweepError
-from linksweep.sweep.formatting import with_error
-from linksweep.sweep.result import Result
+from linksweep.sweep.formatting import first_of, with_error
+from linksweep.sweep.result import Result, write_at_once
 from linksweep.sweep.search.options import SearchOptions
-from linksweep.sweep.stores.location import Folder
 from linksweep.sweep.table_writer import Column, Table
 from linksweep.sweep.tables.columns import EPOCHS, Columns, conditions, rows_where, unit_of
 from linksweep.sweep.tables.options import by_table, number, refused
@@ -395,10 +394,8 @@ def find_matches(search: Search) -> SearchResult:
         raise SweepError(problems)
     if all(set(TYC) <= set(table) for table in stars.values()):
         both = pd.concat([table[list(TYC)] for table in stars.values()])
-        if len(again := both[both.duplicated()]):
-            names = ", ".join("-".join(map(str, tyc)) for tyc in again[:5].itertuples(index=False))
-            more = f" and {len(again) - 5} more" if len(again) > 5 else ""
-            raise SweepError(f"TYC {names}{more}: in the star table and again in the supplement")
+        if again := ["-".join(map(str, tyc)) for tyc in both[both.duplicated()].itertuples(index=False)]:
+            raise SweepError(f"TYC {first_of(again, 5)}: in the star table and again in the supplement")
     asked = search.asked
     parts = [_star_positions(table, asked.epoch) for table in stars.values()]
     positions = Positions(*map(np.concatenate, zip(*parts, strict=True)))
@@ -516,8 +513,6 @@ def _read_tyc(read: Columns) -> dict[str, Any]:
 
 # ---- what it gives
 
-MAP_SUFFIXES = (".png", ".svg", ".pdf")
-
 MOST_ENTRIES = 30_000
 """More entries of galaxy catalogues would fill the map: of a larger number a random share is drawn."""
 
@@ -561,7 +556,7 @@ def find_galaxies(
 
     Raises SweepError for all that is wrong with tables, options and names of files; then nothing is written.
     """
-    _check(search, output, table, figure, overwrite)  # better before a long search than after it
+    _check(search, [path for path in (output, table, figure) if path is not None], overwrite)
     result, contents, drawn = find_matches(search), dict[Path, bytes](), io.BytesIO()
     matches = matches_dataset(result)
     if output.suffix.lower() == ".ecsv":
@@ -578,21 +573,19 @@ def find_galaxies(
             drawing.draw_figure(matches).savefig(drawn, format=figure.suffix[1:].lower(), dpi=200)
         contents[figure] = drawn.getvalue()
     for path, content in contents.items():
-        write(path, content, overwrite)
+        write_at_once(path, partial(Path.write_bytes, data=content))
     if output not in contents:
         Result(matches).save(output)
     return matches
 
 
-def _check(search: Search, matches: Path, table: Path | None, figure: Path | None, overwrite: bool) -> None:
-    """Raise SweepError if an output cannot or must not be written."""
-    problems: list[str] = []
-    inputs = {path.resolve() for path in (search.stars | search.galaxies).values()}
-    paths = [path for path in (matches, table, figure) if path is not None]
-    wanted = [path.resolve() for path in paths]
+def _check(search: Search, paths: Sequence[Path], overwrite: bool) -> None:
+    """Raise SweepError if an output cannot or must not be written: better before a long search than after it."""
+    inputs, wanted = (search.stars | search.galaxies).values(), [path.resolve() for path in paths]
+    problems = [] if paths[0].suffix.lower() in (".ecsv", ".zarr") else [f"{paths[0]} must end in .ecsv or .zarr"]
     for path in paths:
         parent = next(p for p in path.absolute().parents if p.exists())
-        if path.resolve() in inputs:
+        if path.resolve() in [one.resolve() for one in inputs]:
             problems.append(f"{path} is one of the tables that are read")
         elif wanted.count(path.resolve()) > 1:
             problems.append(f"{path} is named for two outputs")
@@ -602,25 +595,8 @@ def _check(search: Search, matches: Path, table: Path | None, figure: Path | Non
             problems.append(f"{path} exists; --overwrite replaces it")
         elif not parent.is_dir() or not os.access(parent, os.W_OK | os.X_OK):
             problems.append(f"{path} cannot be written: {parent} is not a directory that can be written")
-    for output, suffixes in ((matches, (".ecsv", ".zarr")), (figure, MAP_SUFFIXES)):
-        if output is not None and output.suffix.lower() not in suffixes:
-            problems.append(f"{output} must end in {' or '.join(suffixes)}")
-    if figure is not None and find_spec("matplotlib") is None:
-        problems.append("a map needs matplotlib: install linksweep[plot]")
     if problems:
         raise SweepError(list(dict.fromkeys(problems)))
-
-
-def write(path: Path, content: bytes, overwrite: bool) -> None:
-    """Write a file in one step; raises SweepError for one that exists by now, unless it may be replaced."""
-    folder = Folder(path.parent)
-    try:
-        if overwrite:
-            folder.put(path.name, content)
-        elif not folder.create(path.name, content):
-            raise SweepError("exists; --overwrite replaces it", str(path))
-    except OSError as error:
-        raise SweepError(f"cannot be written: {error.strerror or error}", str(path)) from error
 
 
 def matches_dataset(result: SearchResult) -> xr.Dataset:
@@ -680,30 +656,27 @@ def galaxy_table(columns: pd.DataFrame) -> str:
 
     TYC1, TYC2, TYC3 and PGC are integers in the bytes of `LARGEST`, ra (20-31) and dec (33-44) of the star are F12.8,
     byte 46 is the class, one of `LETTERS`.  A right ascension that rounds to 360 is written as 0.  Raises SweepError
-    that names each galaxy without a PGC number or with a number that does not fit its field.
+    that names stars with a number that does not fit its field, such as the 0 of a galaxy without PGC number.
     """
     problems: list[str] = []
     lines: list[str] = []
     for *numbers, ra, dec, name in columns[[*TYC, "PGC", "ra", "dec", "class"]].itertuples(index=False):
         tyc1, tyc2, tyc3, pgc = numbers
-        star = f"TYC {tyc1}-{tyc2}-{tyc3}"
-        if pgc == 0:
-            problems.append(f"{star} has no PGC number")
         for (field, (place, largest)), value in zip(LARGEST.items(), numbers, strict=True):
-            if not 0 <= value <= largest:
-                problems.append(f"{star}: {field} = {value} does not fit bytes {place}, at most {largest}")
+            if not 1 <= value <= largest:
+                star = f"TYC {tyc1}-{tyc2}-{tyc3}"
+                problems.append(f"{star}: {field} = {value} does not fit bytes {place}, from 1 to {largest}")
         wrapped = 0.0 if f"{ra:.8f}" == "360.00000000" else ra
         lines.append(f"{tyc1:4d} {tyc2:5d} {tyc3:1d} {pgc:5d} {wrapped:12.8f} {dec:12.8f} {LETTERS[name]}\n")
     if problems:
-        more = len(problems) - PROBLEMS_NAMED
-        raise SweepError([*problems[:PROBLEMS_NAMED], *([f"and {more} more"] if more > 0 else [])])
+        raise SweepError(first_of(problems, PROBLEMS_NAMED, "; "))
     return "".join(lines)
 
 
 def summarise(result: SearchResult) -> dict[str, Any]:
     """Return the summary of a search: what was searched, chance matches, and counts and means for each class.
 
-    A mean of no values is None.
+    A mean of no values is NaN.
     """
     search, matches, asked = result.search, result.matches, result.search.asked
     columns = match_columns(result)
@@ -750,9 +723,8 @@ def _means(columns: pd.DataFrame, magnitude: str | None, search: Search) -> dict
     without error.
     """
 
-    def stats(name: str) -> dict[str, float | None]:
-        values = {"mean": columns[name].mean(), "scatter": columns[name].std()}
-        return {key: None if np.isnan(value) else float(value) for key, value in values.items()}
+    def stats(name: str) -> dict[str, float]:
+        return {"mean": float(columns[name].mean()), "scatter": float(columns[name].std())}
 
     errors = {key: stats(f"{key}_error") for key in ("ra", "dec")}
     years, second = search.asked.epoch_difference, search.asked.second_epoch_error
@@ -761,10 +733,7 @@ def _means(columns: pd.DataFrame, magnitude: str | None, search: Search) -> dict
         "ra_error_mas": errors["ra"],
         "dec_error_mas": errors["dec"],
         "magnitude": None if magnitude is None else stats(magnitude),
-        "pm_error_mas_yr": {
-            key: None if error["mean"] is None else float(np.hypot(error["mean"], second)) / years
-            for key, error in errors.items()
-        },
+        "pm_error_mas_yr": {key: float(np.hypot(error["mean"], second)) / years for key, error in errors.items()},
     }
 
 
@@ -798,14 +767,12 @@ def tables(matches: xr.Dataset) -> list[Table]:
     def column(name: str, cells: Sequence[str], unit: str = "", left: bool = False) -> Column:
         return Column(name, cells, cells, unit, name, rank=0 if left else 1, left=left)
 
-    def with_scatter(value: Mapping[str, float | None] | None, digits: int) -> str:
-        if value is None or (mean := value["mean"]) is None:
-            return ""
-        scatter = value["scatter"]
-        return f"{mean:.{digits}f}" + ("" if scatter is None else f" ± {scatter:.{digits}f}")
+    def with_scatter(value: Mapping[str, float] | None, digits: int) -> str:
+        known = [] if value is None else [one for one in value.values() if not np.isnan(one)]
+        return " ± ".join(f"{one:.{digits}f}" for one in known)
 
     rows = summary["classes"].values()
-    motions = [", ".join(f"{v:.2g}" for v in row["pm_error_mas_yr"].values() if v is not None) for row in rows]
+    motions = [", ".join(f"{v:.2g}" for v in row["pm_error_mas_yr"].values() if not np.isnan(v)) for row in rows]
     classes = [
         column("class", list(summary["classes"]), left=True),
         column("n", [f"{row['n']:,}" for row in rows]),
