@@ -34,14 +34,14 @@ class Recorded(Silent):
 
     def start(self, survey, where, workers):
         self.total = survey.pending.cost
-        self.eta = Eta(self.total, workers)
+        self.eta = Eta(workers)
         self.begun, self.done, self.rows = time.monotonic(), 0.0, []
 
     def advance(self, works, result, taken):
         now = time.monotonic()
         self.eta.take(now, taken.done.cost, float(result.seconds.sum()))
         self.done += taken.done.cost
-        self.rows.append((self.done / self.total, self.eta.left(now), now))
+        self.rows.append((self.done / self.total, self.eta.left(now, self.total - self.done), now))
 
 
 def main(n_sim: int) -> None:

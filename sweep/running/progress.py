@@ -8,7 +8,7 @@ import re
 import sys
 import time
 from array import array
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence, Set
 from contextlib import suppress
 from dataclasses import dataclass
@@ -261,63 +261,51 @@ MUCH_SLOWER, WORTH_SAYING_S = 3.0, 1.0
 
 
 class Eta:
-    """Estimates the time left, with all times in seconds of one clock: the work that is left, by the seconds that a
-    unit of cost took so far, divided by how much was done at once in the last half of the run.
+    """Estimates the time left, with all times in seconds of one clock: the seconds that the work which is left takes if
+    a unit of cost takes as long as so far, divided by how much was done at once.
 
     There are at most ``workers`` workers if that is known.  A first call in a process may have imported modules: it
     tells nothing of what is left.
 
     Example: two of ten tasks have come from one worker, which takes 3 s for each.
 
-    >>> eta = Eta(cost=10.0, workers=1)
+    >>> eta = Eta(workers=1)
     >>> eta.take(now=3.0, cost=1.0, seconds=3.0)
     >>> eta.take(now=6.0, cost=1.0, seconds=3.0)
-    >>> eta.left(now=6.0)
+    >>> eta.left(now=6.0, cost=8.0)
     24.0
     """
 
-    def __init__(self, cost: float, workers: int | None = None) -> None:
-        """Start with the ``cost`` of all work that is known."""
-        self._known = cost
+    def __init__(self, workers: int | None = None) -> None:
+        """Know nothing yet."""
         self._workers = float("inf") if workers is None else max(1, workers)
-        self._done = self._cost = self._busy = self._longest = self._recent_s = 0.0
-        self._recent: deque[tuple[float, float]] = deque()  # when tasks ended, and their seconds
-        self._begun = self._since = 0.0
-
-    def extend(self, cost: float) -> None:
-        """Add work that was not known before."""
-        self._known += cost
+        self._tasks = 0
+        self._cost = self._busy = self._begun = self._last = 0.0
 
     def take(self, now: float, cost: float, seconds: float, cold: float = 0.0, rows: int = 1) -> None:
         """Count a task's result that came ``now`` after ``seconds`` on its worker; ``cold`` of them for the first of
         its ``rows``, which may have imported modules.
         """
-        self._done += cost
         if not (usual := 1.0 - (1.0 / rows if cold else 0.0)):
             return
         seconds = max(seconds - cold, 1e-9)
-        if not self._recent:
-            self._begun = self._since = now - seconds
+        self._begun = self._begun if self._tasks else now - seconds
+        self._tasks += 1
         self._cost += usual * cost
         self._busy += seconds
-        self._longest = max(self._longest, seconds)
-        self._recent.append((now, seconds))
-        self._recent_s += seconds
-        # Workers come and go, so what is long past does not count; but tasks that end together must not look like more.
-        while self._recent[0][0] < now - max(0.5 * (now - self._begun), 3.0 * self._longest):
-            self._since, gone = self._recent.popleft()
-            self._recent_s -= gone
+        self._last = now
 
-    def left(self, now: float) -> float | None:
-        """Return the seconds left, never negative; None while nothing is known but the time of first calls."""
-        if not self._recent:
+    def left(self, now: float, cost: float) -> float | None:
+        """Return the seconds left for work of a cost, never negative; None while nothing is known but the time of first
+        calls.
+        """
+        if not self._tasks:
             return None
-        last = self._recent[-1][0]
-        elapsed = max(last - self._since, 1e-9)
-        half = 0.5 * min(self._recent_s / len(self._recent), elapsed)  # of a task, which all others are at on average
-        at_once = min((self._recent_s - half) / (elapsed - half), self._workers)
-        needed = max(self._known - self._done, 0.0) * self._busy / max(self._cost, 1e-9) / max(at_once, 1e-9)
-        return max(needed - max(now - last, 0.0), 0.5 * needed)
+        elapsed = max(self._last - self._begun, 1e-9)
+        half = 0.5 * min(self._busy / self._tasks, elapsed)  # of a task, which all others are at on average
+        at_once = min((self._busy - half) / (elapsed - half), self._workers)
+        needed = max(cost, 0.0) * self._busy / max(self._cost, 1e-9) / max(at_once, 1e-9)
+        return max(needed - max(now - self._last, 0.0), 0.5 * needed)
 
 
 @dataclass(frozen=True)
@@ -396,7 +384,7 @@ class TerminalProgress:
         """Say what there is to do and where it is done."""
         total, pending = survey.total, survey.pending
         self._begun = self._shown = time.monotonic()
-        self._eta = Eta(pending.cost, workers)
+        self._eta = Eta(workers)
         self._count = FailureCount(self._study, total.points, total.points - pending.points, survey.failed)
         self._failures = self._count.failed
         self._write("started", points=total.points, done=self._count.done, failed=survey.failed, where=where)
@@ -421,7 +409,6 @@ class TerminalProgress:
         for sentence in self._count.take(taken.ended, taken.failed):
             SENTENCES.warning(sentence)
         seconds, cold = float(result.seconds.sum()), float(result.seconds[0]) if result.cold else 0.0
-        self._eta.extend(taken.more.cost)
         self._eta.take(time.monotonic(), taken.done.cost, seconds, cold, len(result.seconds))
         self._work += taken.more.cost
         self._done += taken.done
@@ -546,7 +533,7 @@ class TerminalProgress:
         """Return how far the run is: points, time left, speed.  What matters most comes first: a terminal cuts it."""
         percent = 100.0 * self._done.cost / self._work if self._work > 0.0 and not self._once else None
         share = "" if percent is None else f" ({percent:.0f} % of the work)"
-        left = self._eta.left(time.monotonic())
+        left = self._eta.left(time.monotonic(), self._work - self._done.cost)
         time_left = [] if left is None else [f"about {in_words(left)} left"]
         return ", ".join([f"{self._count}{share}", *time_left, self._speed(self._elapsed())])
 

@@ -190,11 +190,11 @@ def estimates(tasks, workers, known):
         ends.append((end, cost, seconds))
         heapq.heappush(free, end + 0.002)
     total, done = sum(cost for _, cost, _ in ends), 0.0
-    eta = Eta(total, workers if known else None)
+    eta = Eta(workers if known else None)
     for now, cost, seconds in sorted(ends):
         eta.take(now, cost, seconds)
         done += cost
-        yield done / total, eta.left(now), max(ends)[0] - now
+        yield done / total, eta.left(now, total - done), max(ends)[0] - now
 
 
 @pytest.mark.parametrize("known", [True, False], ids=["workers known", "workers seen"])
@@ -213,14 +213,14 @@ def test_after_a_fifth_of_the_work_it_is_right_within_a_factor_of_one_and_a_half
 @examples_of(max_examples=examples(200), derandomize=True)
 @given(st.lists(STEPS, max_size=30), st.floats(0, 1e15), st.one_of(st.none(), st.integers(0, 100)))
 def test_never_negative_nor_nan(steps, cost, workers):
-    eta = Eta(cost, workers)
+    eta = Eta(workers)
     now = 0.0
-    assert eta.left(now) is None
+    assert eta.left(now, cost) is None
     for passed, done, seconds, more in steps:
         now += passed
         eta.take(now, done, seconds)
-        eta.extend(more)
+        cost += more - done
         for later in (0.0, 1.0, 1e9):
-            left = eta.left(now + later)
+            left = eta.left(now + later, cost)
             assert math.isfinite(left)
             assert left >= 0.0
