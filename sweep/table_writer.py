@@ -59,13 +59,12 @@ class Column:
         """The lines above the column: a long name in two, and the unit."""
         return list(map(harmless, [*_two_lines(self.name), *([f"[{in_ascii(self.unit)}]"] if self.unit else [])]))
 
-    def width(self, least: bool = False) -> int:
-        """Return how many characters the column takes, or at ``least`` takes where it wraps."""
-        whole = max(map(cells.cell_len, [*self.heading, *self.texts]))
-        if not (least and self.wrap):
-            return whole
-        words = " ".join([*self.heading, *self.texts]).split(" ")
-        return min(whole, max(self.wrap, *map(cells.cell_len, words)))
+    @property
+    def width(self) -> int:
+        """How many characters the column takes at least."""
+        lines = [*self.heading, *self.texts]
+        whole = max(map(cells.cell_len, lines))
+        return min(whole, max(self.wrap, *map(cells.cell_len, " ".join(lines).split(" ")))) if self.wrap else whole
 
 
 @dataclass(frozen=True)
@@ -85,7 +84,7 @@ class Table:
     def fitting(self, width: int | None) -> "tuple[Table, str]":
         """Return the table of the columns that fit into a width, and the names of those that are left out."""
         kept = list(self.columns)
-        while width is not None and sum(column.width(least=True) + GAP for column in kept) - GAP > width:
+        while width is not None and sum(column.width + GAP for column in kept) - GAP > width:
             rank = max(column.rank for column in kept)
             if rank == 0:
                 break
@@ -106,11 +105,11 @@ class Table:
         for column, lines in zip(self.columns, headings, strict=True):
             head, side = text.Text("\n".join([""] * (depth - len(lines)) + lines)), column.left or column.wrap
             options: Any = {"justify": "left" if side else "right", "no_wrap": not column.wrap}
-            grid.add_column(head, min_width=column.width(least=True), **options)
+            grid.add_column(head, min_width=column.width, **options)
         for row in zip(*(column.texts for column in self.columns), strict=True):
             grid.add_row(*map(text.Text, row))
         # the height, too: a terminal that is "dumb" would else be 80 columns wide
-        room = max(width or ENDLESS, sum(column.width(least=True) + GAP for column in self.columns))
+        room = max(width or ENDLESS, sum(column.width + GAP for column in self.columns))
         terminal = console.Console(width=room, height=25, color_system="standard" if styled else None)
         with terminal.capture() as capture:
             if self.title:

@@ -415,9 +415,8 @@ def ratio(dataset: xr.Dataset, variable: str, axis: str, of: Any, to: Any) -> xr
     bottom = below.where(below != 0.0)
     meaning = f"{variable} at {axis} = {of} over that at {axis} = {to}"
     result = (above / bottom).rename("ratio").drop_attrs(deep=False).assign_attrs(described("", meaning)).to_dataset()
-    scaled, power = np.frexp(bottom.values)  # whose square is a float
-    slope = -np.ldexp(np.ldexp(above.values, -power) / scaled**2, -power)
-    error = quantity.error_of_sum(dataset, variable, places[0], places[1], ((1.0 / bottom).values, slope))
+    weights = (1.0 / bottom).values, (-result["ratio"] / bottom).values
+    error = quantity.error_of_sum(dataset, variable, places[0], places[1], weights)
     if error is not None:
         result["ratio_error"] = result["ratio"].dims, error, described("", "one-sigma error of ratio")
     return result

@@ -127,8 +127,7 @@ def standard_error(dataset: xr.Dataset, variable: str) -> xr.DataArray | None:
         value, is_drawn = dataset[variable], {FUNCTION, "seed"} <= dataset.attrs.keys()
         return value.copy(data=np.full(value.shape, np.nan)) if is_drawn else None
     values = np.array([part.transpose(*parts[0].dims).values for part in parts])
-    powers = np.frexp(np.fmax.reduce(np.abs(values)))[1]  # of two, over which no square is too large or too small
-    total = np.ldexp(np.sqrt(np.nansum(np.ldexp(values, -powers) ** 2, axis=0)), powers)
+    total = np.hypot.reduce(np.nan_to_num(values, posinf=np.inf))
     return parts[0].copy(data=np.where(is_known(values).any(axis=0), total, np.nan))
 
 
