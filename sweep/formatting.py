@@ -179,11 +179,6 @@ def is_missing(value: Any) -> bool:
     return isinstance(value, float) and isnan(value)
 
 
-def finite_or(value: Any, missing: Any) -> Any:
-    """Return a value, or ``missing`` in place of a float that is not finite."""
-    return missing if isinstance(value, float) and not isfinite(value) else value
-
-
 def counted(n: int, noun: str) -> str:
     """Return a count with its noun.
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from linksweep.sweep.analysis import quantity
 from linksweep.sweep.contract import FEW, Status
-from linksweep.sweep.formatting import finite_or, first_of, in_ascii, prefixed, rounded, to_json, units_of, with_error
+from linksweep.sweep.formatting import first_of, in_ascii, prefixed, rounded, to_json, units_of, with_error
 from linksweep.sweep.studies.record import FUNCTION
 from linksweep.sweep.studies.study import Derived, Ratio, Reading, Slope, printed_rounding
 from linksweep.sweep.table_writer import Column, Table
@@ -357,7 +357,7 @@ def table(comparisons: Sequence[Comparison]) -> Table:
 def records(comparisons: Sequence[Comparison]) -> Table:
     """Return one row per comparison with all numbers, for programs; a missing number is an empty cell."""
     names = [field.name for field in fields(Comparison)]
-    columns = {name: [finite_or(getattr(c, name), math.nan) for c in comparisons] for name in names}
+    columns = {name: [getattr(c, name) for c in comparisons] for name in names}
     columns["where"] = list(map(quantity.place_in_words, columns["where"]))
     return Table([Column(name, values) for name, values in columns.items()])
 

@@ -23,10 +23,9 @@ from scipy.special import exprel  # scipy.stats takes longer to import than a sm
 
 from linksweep.sweep.analysis import quantity
 from linksweep.sweep.analysis.tables import STEP, derived
-from linksweep.sweep.contract import FEW, SweepError, factor_between, rescaled, shown, unit_problem
-from linksweep.sweep.contract.rows import FEWEST_SAMPLES, LENGTH, Array, Status, p_value, small_sample_factor
+from linksweep.sweep.contract import SweepError, factor_between, rescaled, shown, unit_problem
+from linksweep.sweep.contract.rows import LENGTH, Array, Status, p_value, small_sample_factor
 from linksweep.sweep.formatting import LOGARITHMIC_UNITS, RAGGED, described, plain, units_of, with_error, with_unit
-from linksweep.sweep.studies.record import outer_draw_of
 from linksweep.sweep.studies.study import POINT
 
 LEVELLING_POINTS = 4  # the fewest for the levelling law, which has three parameters
@@ -196,20 +195,14 @@ def lines(
     quantity.require_axis(dataset, variable, over)
     made = lines_of(dataset, variable, over, covariance, least)
     quantity.require_done(dataset)
-    problems: list[str] = []
     for line in made.lines:
-        if len(problems) == FEW:  # words on a place take a while
-            break
-        bad = ~np.isfinite(line.y)
+        bad, n = ~np.isfinite(line.y), len(line.x)
         if bad.any():
-            problems.append(f"{variable} is not a finite number{made.at(line, line.x[bad][0])}")
-        elif 0 < len(line.x) < least:
-            n = len(line.x)
-            problems.append(f"at least {least} points are needed along {over}; there are {n}{made.at(line)}")
+            raise SweepError(f"{variable} is not a finite number{made.at(line, line.x[bad][0])}")
+        if 0 < n < least:
+            raise SweepError(f"at least {least} points are needed along {over}; there are {n}{made.at(line)}")
     if not any(len(line.x) for line in made.lines):
-        problems.append("every point is excluded by the study")
-    if problems:
-        raise SweepError(problems)
+        raise SweepError("every point is excluded by the study")
     return made
 
 
@@ -265,16 +258,13 @@ def lines_of(
     grid = quantity.grid_of(dataset, others)
     words = "covariance between points" + (f", from {samples:.0f} samples" if np.isfinite(samples) else "")
     if covariance is None:
-        words = _errors_in_words(dataset, made, dimension, error is not None and bool(error.any()), samples)
+        words = _errors_in_words(made, dimension, error is not None and bool(error.any()), samples)
     return Lines(variable, over, units_of(dataset[over].attrs), others, grid, made, words)
 
 
-def _errors_in_words(dataset: xr.Dataset, made: Sequence[Line], dimension: str, known: bool, samples: float) -> str:
+def _errors_in_words(made: Sequence[Line], dimension: str, known: bool, samples: float) -> str:
     if np.isnan(samples):
-        if dimension not in dataset["status"].dims:
-            return f"not known, as all values along {dimension} are of the same realisations, and lack a covariance"
-        needed = f"{FEWEST_SAMPLES} {outer_draw_of(dataset.attrs)}s, or as many blocks of one, and no `precision`"
-        return f"not known, as points share random numbers and the store has no covariance of them (it needs {needed})"
+        return f"not known, as points along {dimension} share random numbers, and there is no covariance of them"
     if not known:
         return "none"
     unknown = np.concatenate([np.isnan(line.errors) for line in made])
@@ -425,26 +415,21 @@ def ratio(dataset: xr.Dataset, variable: str, axis: str, of: Any, to: Any) -> xr
 def _fitted(made: Lines, fit: Callable[..., dict[str, Any]]) -> list[dict[str, Any]]:
     """Return the numbers of a fit to every line, none for lines that the study excludes.
 
-    Raises SweepError listing the fits that fail, and values that are not above 0.
+    Raises SweepError for a fit that fails, and for values that are not above 0.
     """
     rows: list[dict[str, Any]] = []
-    problems: list[str] = []
     for line in made.lines:
-        if len(problems) == FEW:
-            break
         row: dict[str, Any] = {"points": len(line.x)}
         rows.append(row)
         if (bad := ~(line.y > 0.0)).any():
             value, place = line.y[bad][0], made.at(line, line.x[bad][0])
-            problems.append(f"{made.variable} must be above 0; it is {value:g}{place}")
-        elif len(line.x):
+            raise SweepError(f"{made.variable} must be above 0; it is {value:g}{place}")
+        if len(line.x):
             try:
                 row |= (law := line.fitted(fit))
-                row["p_value"] = p_value(law["chi2"], law["dof"], line.samples)
             except ValueError as error:
-                problems.append(f"{error}: {made.variable} over {made.over}{made.at(line)}")
-    if problems:
-        raise SweepError(problems)
+                raise SweepError(f"{error}: {made.variable} over {made.over}{made.at(line)}") from error
+            row["p_value"] = p_value(law["chi2"], law["dof"], line.samples)
     return rows
 
 

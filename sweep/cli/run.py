@@ -752,7 +752,7 @@ def _words(words: Sequence[str], _context: Any, _parameter: Any, incomplete: str
 class Target:
     """Where a link or a forecast goes: to the terminal, as JSON or text, into a store, and into figures."""
 
-    output: Path | None = cli.output("Write the labelled result.", metavar="STORE.zarr")
+    output: Path | None = cli.output("Write .zarr, or draw .png, .svg, .pdf.")
     figures: Path | None = opt(
         "Draw every figure that `sweep plot STORE.zarr --kind KIND` has, as KIND.png.",
         type=click.Path(path_type=Path, file_okay=False),
@@ -762,8 +762,6 @@ class Target:
 
     def check(self) -> None:
         """Raise an error unless a store can be written and figures be drawn, before anything is computed."""
-        if self.output is not None and self.output.suffix != ".zarr":
-            raise linksweep.SweepError("a result is written to a store whose name ends in .zarr", str(self.output))
         if self.output is not None:
             cli.require_writable(self.output)
         if self.figures is not None:
@@ -771,18 +769,12 @@ class Target:
 
     def put(self, result: "xr.Dataset", rejected: bool = False) -> None:
         """Print a result; write it and draw its figures unless it is ``rejected``."""
-        from linksweep.sweep.result import Result
-
         if self.output is not None and not rejected:
-            Result(result).save(self.output)
+            cli.save_result(result, self.output)
         if self.figures is not None and not rejected:
             from linksweep.sweep.plots import figure as drawing, style
+            from linksweep.sweep.result import Result
 
-            try:
-                self.figures.mkdir(parents=True, exist_ok=True)
-            except OSError as error:
-                why = error.strerror or error
-                raise linksweep.SweepError(f"cannot draw there: {why}", str(self.figures)) from error
             with style.settings():
                 for kind, figure in drawing.all_figures(Result(result)).items():
                     style.save(figure, self.figures / f"{kind}.png")

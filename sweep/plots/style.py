@@ -174,6 +174,7 @@ def save(figure: Figure, path: Path, words: str = "") -> None:
     """
     require_format(path)
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path, dpi=300, metadata=FORMATS[path.suffix.lower()])
         if words:
             path.with_suffix(".txt").write_text(words, encoding="utf-8")

@@ -350,8 +350,6 @@ def check_output(path: Path) -> None:
             raise SweepError("cannot be a report: its name must end with .html or .htm", str(path))
         if path.exists() and not path.read_bytes().startswith(MARK.encode()):
             raise SweepError("exists and is no report of linksweep; give another name with -o", str(path))
-        if not path.parent.is_dir():
-            raise SweepError("cannot be written: its directory does not exist", str(path))
     except OSError as error:
         raise SweepError(f"cannot be written: {error.strerror or error}", str(path)) from error
 
@@ -429,9 +427,8 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> dict[str
     for name in names if {POINT_TABLE, FUNCTION} & about.keys() else ():
         if not quantity.own_dimensions(dataset, name):  # one number at each point
             with suppress(SweepError):
-                part, without = _without_gaps(final.squeeze(), name)
-                indices = Result(sensitivity.sensitivity(part, name))
-                decided[name] = " ".join(indices.headline()).replace(":", f"{without}:", 1)
+                indices = Result(sensitivity.sensitivity(final.squeeze(), name))
+                decided[name] = " ".join(indices.headline())
                 if POINT_TABLE in about and len(indices.dataset.dims) == 1 < indices.dataset.sizes["parameter"]:
                     further[f"S{indices.notes()[0][1:]}"] = _sortable(indices.tables()[0])
                     untitled = indices.dataset.assign_attrs(title="")
@@ -465,21 +462,6 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> dict[str
         "study": about.get("study") or json.dumps(json.loads(about.get("study_document", "{}")), indent=1),
         "version": str(versions.get("linksweep", "unknown")),
     }
-
-
-def _without_gaps(dataset: xr.Dataset, name: str) -> tuple[xr.Dataset, str]:
-    """Return the part of a grid in which a quantity is known everywhere, which lacks as few values of one axis as
-    possible, and words on what it lacks; raises SweepError if every one has gaps.
-    """
-    gaps = ~xr.apply_ufunc(np.isfinite, dataset[name])
-    whole = {str(d): ~gaps.any([other for other in gaps.dims if other != d]).values for d in gaps.dims}
-    axis = max(whole, key=lambda d: whole[d].mean(), default="")
-    if not axis or not whole[axis].any():
-        raise SweepError(f"{name} is known at too few points")
-    gone = np.flatnonzero(~whole[axis]).tolist()
-    lacking = [quantity.place_in_words(quantity.place_at(dataset, {axis: i}), dataset) for i in gone]
-    words = f" (without {formatting.first_of(lacking, 3)}, where some are missing)" if lacking else ""
-    return dataset.isel({axis: whole[axis]}), words
 
 
 def _severity(c: compare.Comparison) -> tuple[int, float]:

@@ -210,7 +210,10 @@ COMMANDS = [
     ("find STORE --where share<1_mas", "share is in no unit, not convertible to mas"),
     *(("tie psrpi nowhere.fits", "nowhere.fits: no such file"), ("tie psrpi icrf3", "within 1 arcsec")),
     ("tie psrpi psrpi --unknowns spinn", "'spinn' are not known"),
-    *(("tie psrpi psrpi --column ra", "must be [TABLE:]KEY=COLUMN"), ("tie psrpi psrpi -o out.nc", "ends in .zarr")),
+    *(
+        ("tie psrpi psrpi --column ra", "must be [TABLE:]KEY=COLUMN"),
+        ("tie psrpi psrpi -o out.nc", "must end with .png"),
+    ),
     ("tie icrf3 icrf2 --unknowns spin", "nothing in the tables determines omega_x"),
     ("tie psrpi psrpi --mission hip", "NAME=TABLE"),
     ("tie psrpi psrpi --mission spin=psrpi", "none of the unknowns"),
@@ -259,7 +262,6 @@ COMMANDS = [
     ("plot STORE --log coins --linear coins", "coins cannot have both a logarithmic and a linear axis"),
     ("plot STORE --kind law --at metal=tin --linear coins", "a law is drawn on logarithmic"),
     *(("report STORE --all", "name stores, or give --all"), ("report STORE --workers 2", "go with --all")),
-    ("report STORE -o no/such/page.html", "its directory does not exist"),
     *(("report STORE -o study.toml", "must end with .html or .htm"), ("report STORE -o .", "is a directory")),
     ("report gs://b/s.zarr", "gs:// is not known"),
     # typical mistakes, with what solves them
