@@ -300,7 +300,7 @@ class Sampling(Section):
 
     n_sim: Count = Field(1000, description="realisations of each catalogue")
     n_cat: Count = Field(1, description="catalogues of each point, an outer draw that realisations share")
-    seed: Seed = Field(0, description="same seed, same numbers, on any machine layout")
+    seed: Seed = Field(0, description="same seed, same numbers, on any number of workers")
     keep_samples: bool = Field(False, description="keep every single estimate too")
     precision: Tolerance | None = Field(
         None,
