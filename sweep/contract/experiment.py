@@ -432,11 +432,8 @@ class Parameter:
         raise self._refused(raw)
 
     def _refused(self, raw: object, more: str = "") -> ValueError:
-        between = re.fullmatch(r"([^:]+):([^:]+)|([\d.]+) ?[-;] ?([\d.]+)", raw) if isinstance(raw, str) else None
-        if between and self.kind in ("float", "int"):
-            ends = ":".join(filter(None, between.groups()))
-            number = "" if self.kind == "int" else f", or a number of values, as {ends}:log5"
-            more = f"; several are 1,2,3; a range has a step, as {ends}:{1 if self.kind == 'int' else 0.5}{number}"
+        if self.kind in ("float", "int") and isinstance(raw, str) and re.search(r"\d\s*[:;-]", raw):
+            more = "; several are 1,2,3; a range is START:STOP:STEP, or START:STOP:log5 for five values"
         more = more or bound_in_words(raw)
         label = "; beyond that under a label, {'label': value}" if more and self.takes_objects else ""
         return ValueError(f"{self.name} = {shown(raw)}: must be {self.allowed()}{more}{label}")
@@ -812,6 +809,14 @@ class Experiment:
         if faults := _problems(self):
             raise SweepError(faults, f"experiment {shown(self.name)}")
 
+    vectorised = repeatable = False
+    """Whether points that share no random numbers are computed in one call, and whether every call at a point is to
+    return the same.
+    """
+
+    tolerance = 0.0
+    """How far the result of a point among others may be from that of the point alone, relative to it."""
+
     @property
     def deterministic(self) -> bool:
         """Whether a point is computed once, without random numbers."""
@@ -821,21 +826,6 @@ class Experiment:
     def undeclared(self) -> bool:
         """Whether the outputs are unknown until there is a first result."""
         return not self.outputs
-
-    @property
-    def vectorised(self) -> bool:
-        """Whether points that share no random numbers are computed in one call."""
-        return False
-
-    @property
-    def repeatable(self) -> bool:
-        """Whether every call at a point is to return the same."""
-        return False
-
-    @property
-    def tolerance(self) -> float:
-        """How far the result of a point among others may be from that of the point alone, relative to it."""
-        return 0.0
 
     @property
     def says_cost(self) -> bool:
@@ -930,12 +920,8 @@ class Experiment:
         """Return the experiment without the promise that a function returns the same whenever it is called."""
         raise SweepError("deterministic: is for a plain function; an Experiment draws from the generators that it gets")
 
-    def joined(self, other: "Experiment") -> "Experiment":
-        """Return the experiment with what is known of its results in another store too."""
-        return self
-
-    def recalled(self, record: Mapping[str, Any]) -> "Experiment":
-        """Return the experiment with what a store has recorded of its results."""
+    def with_layout(self, layout: Any) -> "Experiment":
+        """Return the experiment with what is known of its results, None where nothing is."""
         return self
 
     def as_record(self) -> dict[str, Any]:

@@ -384,8 +384,10 @@ class FunctionExperiment(Experiment):
         single = outputs[0].name if len(outputs) == 1 else "result" if self.name in ("function", *names) else self.name
         return results.Declared(self.name, single, outputs, names, self.rng)
 
-    def with_layout(self, layout: results.Layout) -> "FunctionExperiment":
-        """Return the experiment with a known layout of its results."""
+    def with_layout(self, layout: results.Layout | None) -> "FunctionExperiment":
+        """Return the experiment with the layout of its results, if that is known."""
+        if layout is None:
+            return self
         moments = Moments(layout, self.declared, self.keeps_all)
         return replace(
             self,
@@ -442,15 +444,9 @@ class FunctionExperiment(Experiment):
             layout = layout or outcome.layout
             if (key := id(outcome.layout)) not in verdicts:
                 # results with arrays come with a layout each: equal ones are told faster than they are hashed
-                wrong = () if outcome.layout == layout else results.layout_differences(layout, outcome.layout)
+                wrong = () if outcome.layout == layout else results.layout_refusals(layout, outcome.layout)
                 if wrong and not self.rng and not self.vectorised:
                     wrong += results.lengths_hint(layout, outcome.layout)
-                if (
-                    self.rng
-                    and not wrong
-                    and [f.name for f in outcome.layout.fields] != [f.name for f in layout.fields]
-                ):
-                    wrong = ("its results are in another order",)  # samples are kept without their names
                 verdicts[key] = "; ".join(wrong)
                 layout = layout if wrong else results.joined(layout, outcome.layout)
             if verdicts[key]:
@@ -467,20 +463,9 @@ class FunctionExperiment(Experiment):
                 refused[place] = f"{self.name}: {error}"
         return known, rows, refused
 
-    def joined(self, other: Experiment) -> Experiment:
-        """Return the experiment with floats where another store has floats."""
-        layouts = self.layout, getattr(other, "layout", None)
-        return self if None in layouts else self.with_layout(results.joined(*layouts))
-
-    def recalled(self, record: Mapping[str, Any]) -> Experiment:
-        """Return the experiment with the layout of results that a store has recorded, if any."""
-        layout = layout_of_record(record)
-        return self if layout is None else self.with_layout(layout)
-
     def keeping_samples(self) -> "FunctionExperiment":
         """Return the experiment that keeps all realisations."""
-        made = replace(self, keeps_all=True)
-        return made if self.layout is None else made.with_layout(self.layout)
+        return replace(self, keeps_all=True).with_layout(self.layout)
 
     @property
     def keeps_samples(self) -> bool:
@@ -568,9 +553,7 @@ def experiment_of_record(record: Mapping[str, Any], parameters: tuple[Parameter,
     recorded = record["function"]
     outputs = tuple(Output(**{**one, "dims": tuple(one["dims"])}) for one in recorded["outputs"])
     made = _undeclared(record["name"], parameters, outputs, recorded["rng"])
-    empty = replace(made, shared=tuple(record["shared"]))
-    layout = layout_of_record(record)
-    return empty if layout is None else empty.with_layout(layout)
+    return replace(made, shared=tuple(record["shared"])).with_layout(layout_of_record(record))
 
 
 def layout_of_record(record: Mapping[str, Any]) -> results.Layout | None:

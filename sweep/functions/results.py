@@ -161,6 +161,16 @@ def layout_differences(expected: Layout, other: Layout) -> tuple[str, ...]:
     return tuple(phrases[:5])
 
 
+def layout_refusals(expected: Layout, other: Layout) -> tuple[str, ...]:
+    """Return the differences for which results are refused beside others: of realisations their order, too, since
+    samples are kept without their names.
+    """
+    wrong = layout_differences(expected, other)
+    orders = [[field.name for field in layout.fields] for layout in (expected, other)]
+    is_other = expected.drawn and not wrong and orders[0] != orders[1]
+    return ("its results are in another order",) if is_other else wrong
+
+
 def _facts(layout: Layout, common: Set[Coordinate]) -> dict[str, Any]:
     facts: dict[str, Any] = {}
     for field in layout.fields:

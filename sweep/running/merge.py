@@ -7,6 +7,7 @@ from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import reduce
 from itertools import groupby, pairwise
 from typing import Any
 
@@ -18,7 +19,7 @@ from linksweep.sweep.contract import DIGEST_BYTES, Experiment, SweepError, conve
 from linksweep.sweep.executing.task import DECIDING
 from linksweep.sweep.formatting import host, now
 from linksweep.sweep.functions.adapter import layout_of_record
-from linksweep.sweep.functions.results import Layout, layout_differences
+from linksweep.sweep.functions.results import Layout, joined, layout_refusals
 from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.grid import Grid, describe
 from linksweep.sweep.planning.plan import Plan, lost_parts
@@ -217,21 +218,14 @@ def _why_other(one: _Source, other: _Source) -> str:
     """Say how the results of a function in two stores differ in kind; '' where they do not, or are not known."""
     if one.layout is other.layout or one.layout is None or other.layout is None:
         return ""
-    wrong = layout_differences(one.layout, other.layout)
-    orders = [[field.name for field in source.layout.fields] for source in (one, other) if source.layout]
-    if not wrong and one.study.keeps_samples and orders[0] != orders[1]:
-        wrong = ("its results are in another order",)  # samples are kept without their names
-    return "; ".join(wrong)
+    return "; ".join(layout_refusals(one.layout, other.layout))
 
 
 def _experiment(sources: Sequence[_Source]) -> Experiment:
     """Return the experiment of all stores, with what is known of its results in any of them."""
     first = _first(sources)
-    experiment = first.study.experiment
-    for source in {id(source.layout): source for source in sources if source.layout is not None}.values():
-        if not _why_other(first, source):
-            experiment = experiment.joined(source.study.experiment)
-    return experiment
+    layouts = {id(one.layout): one.layout for one in sources if one.layout is not None and not _why_other(first, one)}
+    return first.study.experiment.with_layout(reduce(joined, layouts.values()) if layouts else None)
 
 
 def _first(sources: Sequence[_Source]) -> _Source:
@@ -305,7 +299,7 @@ def _take(
     starts = [record["first_row"] for record in records]
     for number, group in groupby(keys, key=lambda key: bisect_right(starts, rows[key])):
         if number:
-            _begin_code(store, records[number - 1])
+            run.begin_code(store, records[number - 1]["code"])
         alike = list(group)
         for start in range(0, len(alike), ROWS_AT_ONCE):
             part = alike[start : start + ROWS_AT_ONCE]
@@ -321,13 +315,6 @@ def _is_after(key: bytes, failed: Mapping[bytes, Record]) -> bool:
     """Return whether a block comes after the one at which its point has failed."""
     record = failed.get(key[DIGEST])
     return record is not None and tuple(np.frombuffer(key, "<u4", 2, DIGEST_BYTES).tolist()) > _block_of(record)
-
-
-def _begin_code(store: Store, record: Mapping[str, Any]) -> None:
-    """Record which code has made the rows that follow, before there are any."""
-    records = [earlier for earlier in run.records_of(store.attributes) if earlier["first_row"] < store.next_row]
-    if not records or records[-1]["code"] != record["code"]:
-        store.record({CODE: json.dumps([*records, {**record, "first_row": store.next_row if records else 0}])})
 
 
 def _fail(store: Store, accumulator: Accumulator, failed: Mapping[bytes, Record]) -> None:

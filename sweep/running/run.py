@@ -107,15 +107,25 @@ def check_code(store: Store, study: Study, gone: Collection[bytes] = (), accept_
 
 def record_code(store: Store, study: Study, say: Callable[[str], None]) -> None:
     """Record which code makes the blocks from now on, and tell the user if it has changed."""
-    rows = store.next_row
-    records = [record for record in records_of(store.attributes) if record["first_row"] < rows]  # others made no rows
-    changes = differences_of_code(records, study)
+    changes = differences_of_code(made := records_with_rows(store), study)
     for sentence in changes:
         say(f"other code goes on with {store.location}: {sentence}")
-    if changes or not records:
-        code = code_of(study.experiment_reference, study.experiment)
-        records.append({"first_row": rows if records else 0, "code": code})
-    if records[-1]["code"] or CODE in store.attributes:  # linksweep's own experiments are known by their version
+    begin_code(
+        store, made[-1]["code"] if made and not changes else code_of(study.experiment_reference, study.experiment)
+    )
+
+
+def records_with_rows(store: Store) -> list[dict[str, Any]]:
+    """Return the records of code that has made rows of an open store."""
+    return [record for record in records_of(store.attributes) if record["first_row"] < store.next_row]
+
+
+def begin_code(store: Store, code: Mapping[str, str]) -> None:
+    """Record which code makes the rows that follow, before there are any."""
+    records = records_with_rows(store)
+    if not records or records[-1]["code"] != code:
+        records.append({"first_row": store.next_row if records else 0, "code": code})
+    if code or CODE in store.attributes:  # linksweep's own experiments are known by their version
         store.record({CODE: json.dumps(records)})
 
 

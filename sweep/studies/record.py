@@ -12,7 +12,7 @@ from typing import Any
 from linksweep.sweep.code import Code, SourceFunction, version_of
 from linksweep.sweep.contract import Experiment, Named, Output, Parameter, Point, SweepError, Unknown, shown
 from linksweep.sweep.formatting import command_line, host, now
-from linksweep.sweep.functions.adapter import experiment_of_record
+from linksweep.sweep.functions.adapter import experiment_of_record, layout_of_record
 from linksweep.sweep.studies.reader import study_of_attributes
 from linksweep.sweep.studies.study import PART, POINT_TABLE, Study
 from linksweep.sweep.tables.columns import content_digest, sorted_json
@@ -96,7 +96,8 @@ def recorded_study(attributes: Mapping[str, Any], where: str, *, whole: bool = F
 
 def as_recorded(study: Study, attributes: Mapping[str, Any]) -> Study:
     """Return a study; if it is of a plain function, with the layout of results that the store has recorded, if any."""
-    return replace(study, experiment=study.experiment.recalled(json.loads(attributes.get(RECORD, "{}"))))
+    layout = layout_of_record(json.loads(attributes.get(RECORD, "{}")))
+    return replace(study, experiment=study.experiment.with_layout(layout))
 
 
 def _experiment(record: Mapping[str, Any]) -> Experiment:
