@@ -17,7 +17,7 @@ from linksweep.sweep.contract import FEW, FEWEST_SAMPLES, Array, Status, SweepEr
 from linksweep.sweep.contract.rows import LENGTH, count_status, unfinished_in_words
 from linksweep.sweep.formatting import ERRORS, RAGGED, first_of, is_missing, is_truth, meant, plain, prefixed, units_of
 from linksweep.sweep.stores.store import RUNNING, finished
-from linksweep.sweep.studies.points import plain_value
+from linksweep.sweep.studies.points import labelled
 from linksweep.sweep.studies.record import FUNCTION, outer_draw_of
 from linksweep.sweep.studies.study import LOST, POINT, POINT_TABLE, Claim
 
@@ -446,8 +446,9 @@ def indices(dataset: xr.Dataset, places: Mapping[str, Any]) -> dict[str, list[in
         exact = list(dataset[name].values) if dataset[name].dtype.kind == "M" else values
         hits = {i for i, value in enumerate(exact) if _is_meant(value, wanted)} or meant(values, wanted)
         if not hits and not isinstance(wanted, str):
-            label = str(plain_value(wanted, name))  # an axis with objects has their labels
-            hits = {i for i, value in enumerate(values) if value == label}
+            with suppress(ValueError):  # an axis with objects has their labels; some objects can have none
+                label = labelled(wanted).name
+                hits = {i for i, value in enumerate(values) if value == label}
         if not hits:
             there = first_of([text or "none" for text in plain(values)], FEW)
             problems.append(f"{name} = {wanted} is not in the grid, which has {there}")

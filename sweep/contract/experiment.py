@@ -363,13 +363,8 @@ class Parameter:
         if raw is None and (self.optional or self.when):
             return None
         value: Any = self._object(raw) if self.takes_objects else raw
-        if not isinstance(value, Named):
-            return self._plain(value)
-        if self.takes_objects or value in self.defined:
-            return value
-        # A member of an enumeration of numbers or texts is one where only these are allowed.
-        is_member = isinstance(value.value, int | float | str) and type(value.value) not in (bool, int, float, str)
-        return self._plain(value.value if is_member else value)
+        is_object = isinstance(value, Named) and (self.takes_objects or value in self.defined)
+        return value if is_object else self._plain(value)
 
     def _object(self, raw: Any) -> Any:
         """Return the object with a label that ``raw`` is or names, ``raw`` itself where it is none."""
@@ -387,7 +382,8 @@ class Parameter:
         kind, known = self.kind, self._known()
         if kind == "str" and isinstance(raw, str) and (not self.choices or raw in known):
             return next((named for named in self.defined if named.name == raw), raw)
-        like = [one for one in known if one == raw and (type(one) is bool) == (type(raw) is bool)]
+        is_plain = isinstance(raw, int | float | str)
+        like = [one for one in known if is_plain and one == raw and (type(one) is bool) == (type(raw) is bool)]
         if kind == "str" or (self.choices and not like):
             hint = nearest(raw, known) if isinstance(raw, str) and kind == "str" else ""
             raise self._refused(raw, hint)

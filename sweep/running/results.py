@@ -3,6 +3,7 @@
 import json
 import re
 from bisect import bisect_right
+from collections import defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import accumulate, groupby
@@ -356,50 +357,35 @@ def _published(grid: Grid) -> dict[str, Variable]:
     if study.published is None:
         return {}
     outputs = {o.name: o for o in study.experiment.outputs if o.name not in study.axes and not o.dims}
-    origin = study.published.about.model_dump(exclude={"file"}, exclude_none=True)
+    origin, rows = study.published.about.model_dump(exclude={"file"}, exclude_none=True), study.published.rows
+    named = [name for name in study.experiment.defaults() if name in rows[0] and name not in outputs]
+    there = defaultdict[tuple[float | str, ...], list[int]](list)
+    for index, parameters in grid.parameters():
+        there[tuple(_as_read(str(parameters[name])) for name in named)].append(index)
+    at = [there.get(tuple(_as_read(row[name]) for name in named), ()) for row in rows]
     variables: dict[str, Variable] = {}
-    for column in study.published.rows[0]:
-        if column in outputs:
-            output = outputs[column]
-            values, roundings = np.full(grid.shape, np.nan), np.full(grid.shape, np.nan)
-            outside = 0
-            for row in study.published.rows:
-                if not row[column]:
-                    continue
-                place = _place(grid, row, outputs)
-                if place is None:
-                    outside += 1
-                else:
-                    values[place], roundings[place] = float(row[column]), printed_rounding(row[column])
-            name, rounding = f"{column}_published", f"{column}_published_rounding"
-            meaning = f"published {short_meaning(output.meaning) or output.name}"
-            variables[name] = _variable(grid, values.reshape(-1), Output(name, output.unit, meaning))
-            variables[name].attrs.update(origin, outside_grid=outside)
-            meaning = f"half a unit of the last printed digit of {name}"
-            variables[rounding] = _variable(grid, roundings.reshape(-1), Output(rounding, output.unit, meaning))
+    for column in (name for name in rows[0] if name in outputs):
+        output, printed = outputs[column], [(places, row[column]) for places, row in zip(at, rows, strict=True)]
+        inside = [(places[0], text) for places, text in printed if text and len(places) == 1]
+        values, roundings = np.full(len(grid), np.nan), np.full(len(grid), np.nan)
+        for index, text in inside:
+            values[index], roundings[index] = float(text), printed_rounding(text)
+        name, rounding = f"{column}_published", f"{column}_published_rounding"
+        meaning = f"published {short_meaning(output.meaning) or output.name}"
+        variables[name] = _variable(grid, grid.with_repeats(values), Output(name, output.unit, meaning))
+        outside = sum(bool(text) for _, text in printed) - len(inside)
+        variables[name].attrs.update(origin, outside_grid=outside)
+        meaning = f"half a unit of the last printed digit of {name}"
+        variables[rounding] = _variable(grid, grid.with_repeats(roundings), Output(rounding, output.unit, meaning))
     return variables
 
 
-def _place(grid: Grid, row: Mapping[str, str], outputs: Mapping[str, Output]) -> tuple[int, ...] | None:
-    """Return the position in the grid that a published row refers to, or None if it is not in this grid."""
-    study = grid.study
-    settings = study.experiment.defaults() | dict(study.fixed)
-    others = (row.keys() & settings.keys()) - outputs.keys() - study.axes.keys()
-    if not all(_same(settings[name], row[name]) for name in others):
-        return None
-    place = []
-    for dimension, rows in grid.rows.items():
-        values = (dict(zip(grid.dimensions[dimension], some, strict=True)) for some in rows)
-        fits = [all(_same(one[name], row[name]) for name in one.keys() & row.keys()) for one in values]
-        if sum(fits) != 1:
-            return None
-        place.append(fits.index(True))
-    return tuple(place)
-
-
-def _same(value: object, text: str) -> bool:
-    number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    return float(str(value)) == float(text) if number else str(value) == text
+def _as_read(text: str) -> float | str:
+    """Return the number that a text is, or the text itself."""
+    try:
+        return float(text)
+    except ValueError:
+        return text
 
 
 # Most elements of one covariance, which has one for every pair of points along an axis, and of its samples.

@@ -402,12 +402,9 @@ def read_root(location: Location) -> dict[str, Any]:
         hint, path = "", location.path if isinstance(location, Folder) else None
         if path is not None and path.is_dir():
             hint = ": the folder is empty; no run has begun in it, or its files are gone"
-        elif path is not None and path.with_suffix(".zarr").exists():
-            hint = f"; did you mean '{path.stem}.zarr'?"
-        elif path is not None and (RESULTS / f"{path.stem}.zarr").exists():
-            hint = f"; did you mean '{RESULTS / path.stem}.zarr'?"
-        elif path is not None and (beside := sorted(one.name for one in path.parent.glob("*.zarr"))):
-            hint = suggest(path.name, beside)
+        elif path is not None:
+            beside = [one.name for one in path.parent.glob("*.zarr")] or list(map(str, RESULTS.glob("*.zarr")))
+            hint = suggest(path.name, sorted(beside))
         raise SweepError(f"no store there{hint}", str(location))
     return root
 

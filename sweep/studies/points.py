@@ -391,13 +391,11 @@ def read_range(parameter: Parameter, spec: object) -> Range:
 class Design(NamedTuple):
     """Points in the unit cube that sample many parameters at once.
 
-    How to ``draw`` it from n and the number of parameters; whether it ``grows``: a larger n begins with the same
-    points; whether it is even only for powers of two; and how many points each of n has ``beside`` one for each
-    parameter, None if it is a single point.
+    How to ``draw`` it from n and the number of parameters; whether it is even only for powers of two; and how many
+    points each of n has ``beside`` one for each parameter, None if it is a single point.
     """
 
     draw: Callable[[int, int, np.random.Generator], Any]
-    grows: bool = True
     powers_of_two: bool = False
     beside: int | None = None
 
@@ -418,7 +416,7 @@ def _salib(name: str, n: int, dimensions: int, rng: np.random.Generator, **optio
 
 DESIGNS: Mapping[str, Design] = {
     "sobol": Design(partial(_scipy, "Sobol"), powers_of_two=True),
-    "latin-hypercube": Design(partial(_scipy, "LatinHypercube"), grows=False),
+    "latin-hypercube": Design(partial(_scipy, "LatinHypercube")),
     "halton": Design(partial(_scipy, "Halton")),
     "random": Design(lambda n, dimensions, rng: rng.random((n, dimensions))),
     "saltelli": Design(partial(_salib, "sobol", calc_second_order=False), powers_of_two=True, beside=2),
@@ -551,6 +549,11 @@ def _apart(columns: Cells, form: PointsForm, values: Values) -> tuple[Cells, dic
     return {name: columns[name] for name in columns if name in parameters}, labels
 
 
+def is_missing(cell: object) -> bool:
+    """Return whether there is no value in a cell."""
+    return cell is None or (isinstance(cell, float) and math.isnan(cell))
+
+
 def labels_of(cells: Sequence[Any]) -> list[Any]:
     """Return the cells of a column as labels: numbers, floats if one has a fraction, truth values, all else as texts.
 
@@ -559,7 +562,7 @@ def labels_of(cells: Sequence[Any]) -> list[Any]:
     >>> labels_of([4472832130942575872, 7]), labels_of(["Sirius", 7, None])
     ([4472832130942575872, 7], ['Sirius', '7', ''])
     """
-    cells = [cell.decode() if isinstance(cell, bytes) else None if cell != cell else cell for cell in cells]  # noqa: PLR0124
+    cells = [cell.decode() if isinstance(cell, bytes) else None if is_missing(cell) else cell for cell in cells]
     kinds = {type(cell) for cell in cells}
     exact = all(type(cell) is not int or abs(cell) <= 2**53 for cell in cells)
     if exact and float in kinds <= {float, int, type(None)}:
@@ -646,11 +649,11 @@ def _in_units(columns: Cells, units: Mapping[str, str], values: Values, where: K
             if name not in columns:
                 raise ValueError("has a unit, but is no column")
             cells = columns[name]
-            missing = np.array([cell is None or cell != cell for cell in cells], dtype=bool)  # noqa: PLR0124
+            missing = np.array([is_missing(cell) for cell in cells], dtype=bool)
             if missing.any() and not (parameter := values.experiment.parameter(name)).optional and not parameter.when:
                 raise ValueError(f"has no value in row {rows_listed(missing)}")
             factor = factor_between(theirs, unit) if theirs else 1.0
-            if factor is None or (factor != 1.0 and Named in map(type, cells)):
+            if factor is None or (factor != 1.0 and not set(map(type, cells)) <= {int, float, str, bool, type(None)}):
                 raise ValueError(
                     f"its column is in {theirs}, and the parameter {f'is in {unit}' if unit else 'has no unit'}"
                 )
@@ -758,34 +761,30 @@ def with_default_objects(experiment: Experiment) -> Experiment:
     return replace(experiment, parameters=tuple(parameters)) if arguments else experiment
 
 
-def plain_values(values: Any, where: str, otherwise: str = "") -> Any:
-    """Return the values of an axis or a column as a study has them: numbers and texts, and others as objects, with the
-    label ``otherwise`` if they have none.
+def plain_values(values: Any, where: str) -> Any:
+    """Return the values of an axis or a column as a study has them: numbers and texts, and others as they are, or under
+    the label that they are given.
     """
     if is_quantity(values):  # refused where the unit of its parameter is known
         return values
     if isinstance(values, Mapping):
         if values.keys() & {"start", "values"}:
             return {key: plain_values(one, f"{where}.{key}") for key, one in values.items()}
-        return [plain_value(one, where, label) for label, one in values.items()]
+        try:
+            return [labelled(one, label) for label, one in values.items()]
+        except ValueError as error:
+            raise SweepError(f"{where}: {error}") from error
     if getattr(values, "ndim", 1) > 1:
         values = list(np.asanyarray(values))  # each an object
     kind = getattr(getattr(values, "dtype", None), "kind", "O")
     if kind in PLAIN or isinstance(values, str | bytes | set | frozenset | Iterator | range):
         return plain(values, where)
-    return [plain_value(one, where, "", otherwise) for one in values] if isinstance(values, Iterable) else values
+    return [*map(plain_value, values)] if isinstance(values, Iterable) else values
 
 
-def plain_value(value: Any, where: str, label: str = "", otherwise: str = "") -> Any:
-    """Return a value as a study has it, as `plain_values`; without a ``label`` lists and tables stay as they are."""
-    if not label and (type(value) in PLAIN_TYPES or isinstance(value, (list, tuple, Mapping)) or is_quantity(value)):
-        return value
-    if not label and isinstance(value, np.generic) and value.dtype.kind in PLAIN:
-        return plain(value, where)
-    try:
-        return labelled(value, label, otherwise)
-    except ValueError as error:
-        raise SweepError(f"{where}: {error}") from error
+def plain_value(value: Any) -> Any:
+    """Return a value as a study has it: numbers and texts of NumPy as those of Python."""
+    return value.item() if isinstance(value, np.generic) and value.dtype.kind in PLAIN else value
 
 
 def plain(value: Any, where: str) -> Any:
@@ -812,27 +811,26 @@ def plain(value: Any, where: str) -> Any:
 
 def plain_study(document: Mapping[str, Any]) -> dict[str, Any]:
     """Return the document of a study as TOML would give it, but for objects, which have labels."""
-    made: Mapping[str, Callable[[Any, str], Any]] = {"axes": plain_values, "fixed": plain_value}
     written: dict[str, Any] = {}
     for key, value in document.items():
         if key == "when":
             written[key] = plain_conditions(value, key)
         elif key == "exclude" and isinstance(value, list | tuple):
             written[key] = [plain_conditions(one, key, listed=False) for one in value]
-        elif key not in made:
-            written[str(key)] = plain_points(value) if key == "points" else plain(value, str(key))
-        elif isinstance(value, Mapping):
-            written[key] = {str(name): made[key](one, f"{key}.{name}") for name, one in value.items()}
+        elif key == "axes" and isinstance(value, Mapping):
+            written[key] = {str(name): plain_values(one, f"{key}.{name}") for name, one in value.items()}
+        elif key == "fixed" and isinstance(value, Mapping):
+            written[key] = {str(name): plain_value(one) for name, one in value.items()}
         else:
-            written[key] = value
+            written[str(key)] = plain_points(value) if key == "points" else plain(value, str(key))
     return written
 
 
 def plain_conditions(raw: Any, where: str, listed: bool = True) -> Any:
-    """Return conditions as a study has them, those on a parameter's value being ``listed``; objects have any label."""
+    """Return conditions as a study has them, those on a parameter's value being ``listed``."""
     if isinstance(raw, Mapping):
         return {str(key): plain_conditions(one, f"{where}.{key}", listed or key == "in") for key, one in raw.items()}
-    return plain_values(raw, where, "object") if listed else plain_value(raw, where, otherwise="object")
+    return plain_values(raw, where) if listed else plain_value(raw)
 
 
 def plain_points(points: Any) -> dict[str, Any]:

@@ -28,6 +28,7 @@ from linksweep.sweep.studies.points import (
     Problems,
     Values,
     compared,
+    labelled,
     plain_study,
     read_cell,
     read_points,
@@ -391,8 +392,11 @@ def live_study(document: Mapping[str, Any]) -> Study:
         raise SweepError(f"{shown(function)} is neither a function nor an Experiment")
     written.setdefault("title", name)
     digest = ""
-    with suppress(ValueError):  # of an integer that Python does not print, which is refused by name below
-        digest = hashlib.sha256(json.dumps(written, sort_keys=True, default=repr).encode()).hexdigest()
+    with suppress(
+        ValueError
+    ):  # of an integer that Python does not print, or an object, which are refused by name below
+        known = json.dumps(written, sort_keys=True, default=lambda one: repr(labelled(one, otherwise="object")))
+        digest = hashlib.sha256(known.encode()).hexdigest()
     return study_from_dict(written, f"{name}-{digest[:8]}", "", Code(afresh=isinstance(function, str)))
 
 
@@ -569,10 +573,8 @@ class _Reader:
         for key in {"axes", "fixed"} & document.keys():
             document[key] = document[key] | {
                 name: paths.get(name, written[name])
-                for name, raw in document[key].items()
-                if name in paths
-                or (known[name].takes_objects and known[name].defined)
-                or Named in map(type, raw if isinstance(raw, list) else [raw])  # a member of an enumeration
+                for name in document[key]
+                if name in paths or (known[name].takes_objects and known[name].defined)
             }
         for name, by_name in form.define.items():
             for word, entries in by_name.items():

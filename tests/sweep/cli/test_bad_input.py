@@ -272,7 +272,7 @@ COMMANDS = [
     ("run decay.py:decay years=1,2", "--axis NAME=1,2,3"),
     ("run decay.py:decay --axis years=1,2 --set half_life=2 --seed 4", "--set NAME=VALUE"),
     ("run decay.py:decay --axis years=1,2", "--set half_life=VALUE"),
-    ("run decay.py:decay --axis years=1-2 --set half_life=2", "1:2:0.5"),
+    ("run decay.py:decay --axis years=1-2 --set half_life=2", "START:STOP:STEP"),
     ("run decay.py:decay --axis years=1,2 --axis years=3 --set half_life=2", "leave out one"),
     *(("show DECAYED --at year=1", "'years'"), ("fit DECAYED", "--over")),
     *(("plot DECAYED --at years=3", "which has 1, 2"), ("find DECAYED", "--where"), ("plot DECAYED --logy", "'--log'")),
