@@ -24,10 +24,9 @@ if TYPE_CHECKING:
     import xarray as xr
 
 MOST_ROWS = 200  # for reading: formatting a hundred thousand would take longer than computing them
-VISIBLE_BIAS = 1e-3  # the parts of a prediction are shown if the bias increases it by a larger fraction
 
 # ranks of the columns of the main quantity; those of other quantities are larger by `OTHER`
-VALUE, PUBLISHED, PREDICTED, PARTS, OTHER = 0, 1, 2, 4, 3
+VALUE, PUBLISHED, PREDICTED, OTHER = range(4)
 
 CONDITION, CORRELATION = "condition_number", "correlation"
 BAD_CONDITION = 100.0  # above it unknowns can hardly be told apart: two with a correlation of 0.98 have it
@@ -141,12 +140,6 @@ def _columns_of(dataset: xr.Dataset, columns: dict[str, Column], name: str, rows
     yield replace(main, cells=list(map(formatting.with_error, main.values, errors)), rank=VALUE)
     if (predicted := columns.get(quantity.prediction_name(columns, name))) is not None:
         yield beside("predicted", predicted.values, PREDICTED, errors)
-        whole, part = (columns.get(f"{name}_{suffix}") for suffix in quantity.PREDICTION_SUFFIXES)
-        pairs = [] if whole is None or part is None else list(zip(whole.values, part.values, strict=True))
-        if any(total > (1.0 + VISIBLE_BIAS) * alone for total, alone in pairs):
-            bias = [max(0.0, total**2 - alone**2) ** 0.5 for total, alone in pairs]
-            yield beside("of errors", [alone for _, alone in pairs], PARTS, errors)
-            yield beside("of bias", bias, PARTS, errors)
     published = columns[f"{name}_published"].values if f"{name}_published" in columns else []
     if not all(map(formatting.is_missing, published)) and not _is_exact(dataset, name):
         yield beside("published", published, PUBLISHED, [0.0] * len(published))

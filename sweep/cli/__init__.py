@@ -324,9 +324,6 @@ NO_LEAK_WARNING = "ignore:resource_tracker"
 them would warn the user.
 """
 
-MODULES = ("run", "look")
-"""The modules of commands, as the help lists them; each is imported if none before it has the one that is asked for."""
-
 SECTIONS: dict[str, dict[str, str]] = {name: {} for name in ("Run", "Look", "Compare", "Store care", "Your own")}
 """The commands as the help lists them."""
 
@@ -351,9 +348,7 @@ class _Group(click.Group):
     """
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        for module in MODULES:
-            if cmd_name not in self.commands:
-                import_module(f"{__name__}.{module}")
+        import_module(f"{__name__}.look")  # and the other module of commands, which it imports
         return super().get_command(ctx, cmd_name)
 
     def list_commands(self, ctx: click.Context) -> list[str]:

@@ -418,7 +418,7 @@ def draw_lines(axes: Axes, dataset: xr.Dataset, variable: str, over: str, number
         axes.axhline(0.0, color="black", linewidth=0.6)
         axes.axhspan(-half, half, color=style.COLOURS[6], **style.BAND)
     style.fit_scale(axes, "y", dataset[variable])
-    axes.set(xlabel=style.axis_label(dataset, over), ylabel=style.quantity_label(dataset, variable))
+    axes.set(xlabel=style.label(dataset[over], over), ylabel=style.quantity_label(dataset, variable))
     axes.margins(x=max(0.05, EDGE_PT / (72.0 * style.panel_size(axes)[0] - 2.0 * EDGE_PT)))
     if steps and joined and len(axes.figure.axes) == 1:
         _name_ends(axes, {name: float(one[variable].values[-1]) for name, one in named})
@@ -766,15 +766,14 @@ def _pairs_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]
     figure, panels = style.new_figure(*size, len(up), len(across), least=1.0, sharex="col", sharey="row")
     values = dataset[variable].squeeze().values.astype(float)
     known = np.flatnonzero(np.isfinite(values))
-    order = known[np.argsort(np.abs(values[known] - np.median(values[known])))]  # extremes on top
-    dots: dict[str, Any] = {"c": values[order], "cmap": "cividis", "norm": colour_limits(dataset[variable])}
+    dots: dict[str, Any] = {"c": values[known], "cmap": "cividis", "norm": colour_limits(dataset[variable])}
     dots |= {"s": 10.0 if len(values) <= FEW_POINTS else 4.0, "linewidths": 0.0}
     for axes, (row, column) in zip(panels, np.ndindex(len(up), len(across)), strict=True):
         if column > row:
             axes.set_visible(False)
             continue
         x, y = (positions(axes, dataset, name, which) for name, which in ((across[column], "x"), (up[row], "y")))
-        drawn = axes.scatter(x[order], y[order], rasterized=len(values) > MOST_VECTORS, **dots)
+        drawn = axes.scatter(x[known], y[known], rasterized=len(values) > MOST_VECTORS, **dots)
         axes.set_xlabel(style.label(dataset[across[column]], across[column]) if row == len(up) - 1 else "")
         axes.set_ylabel(style.label(dataset[up[row]], up[row]) if column == 0 else "")
         axes.set_label(variable)  # for the caption

@@ -15,7 +15,7 @@ import xarray as xr
 from matplotlib import ticker
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from scipy.special import chdtrc, ndtri
+from scipy.special import ndtri
 
 from linksweep.core import missions
 from linksweep.core.frames import DEGREE, GALACTIC_AXES, Array, galactic, position
@@ -34,6 +34,7 @@ from linksweep.sweep.tables.columns import table_file
 MAGNITUDE = {"units": "mag", "long_name": "magnitude V", "symbol": "$V$"}
 SKY_WIDTH = 45.0  # letters that a map of the sky is wide at least
 RANKED = 20  # sources in a ranking
+MOST_NAMED = 10  # sources with names in a panel
 CLASS_MARKERS = {"certain": "o", "uncertain": "^", "supplement": "s"}  # of matches with galaxies
 MANY_ROWS = "they are not kept for tables with so many rows"
 
@@ -486,12 +487,10 @@ def weight_figure(dataset: xr.Dataset) -> Figure:
         axes.set_title(f"{some.sum()} kept" + (f", {gone.sum()} dropped" if np.any(gone) else ""))
     grid[0].set_ylabel("$Q_i/n_i$ (1 is expected)")
     style.legend(figure)  # which makes the panels what they are when points are named
-    surprise = chdtrc(np.maximum(count, 1.0), discrepancy)
     figure.draw_without_rendering()
     for axes, weight in zip(grid, share.T, strict=True):
-        matters = np.argsort(-weight * np.nan_to_num(ratio))[:2]  # the upper right: much weight, and a bad fit
-        order = dict.fromkeys([*matters, *np.argsort(surprise)[:4], *np.argsort(-weight)[:4]])
-        chosen = np.array([k for k in order if kept[k] and weight[k] > 0.0], dtype=int)
+        matters = np.where(kept, weight * np.nan_to_num(ratio), 0.0)  # most at the upper right
+        chosen = np.argsort(-matters)[: min(MOST_NAMED, np.count_nonzero(matters))]
         _name_points(axes, weight[chosen], ratio[chosen], names[chosen])
     return figure
 

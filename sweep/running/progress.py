@@ -68,36 +68,34 @@ class Reasons:
     """Reasons why points failed, by what they have in common: of each the first place and message, and how many."""
 
     def __init__(self) -> None:
+        self.points = 0
         self.first: dict[str, tuple[str, str]] = {}
         self._numbers = Counter[str]()
-
-    @property
-    def points(self) -> int:
-        """How many points failed."""
-        return self._numbers.total()
 
     def add(self, place: str, message: str) -> str:
         """Count a point that failed; return what its reason has in common with others."""
         kind = in_common(place, message)
+        self.points += 1
         self.first.setdefault(kind, (place, message))
         self._numbers[kind] += 1
         return kind
 
-    def most(self) -> list[tuple[str, int]]:
-        """Return what reasons have in common, the most frequent first, and how many points failed for each."""
-        return self._numbers.most_common()
+    def most(self) -> list[tuple[int, str, str]]:
+        """Return of each reason how many points failed for it, a place and a message, the most frequent first."""
+        return [(number, *self.first[kind]) for kind, number in self._numbers.most_common()]
 
     def __str__(self) -> str:
         return "; ".join(self.in_words())
 
     def in_words(self) -> list[str]:
         """Return the most frequent reasons, each with how many points it is of and one of them."""
-        words = []
-        for kind, number in self.most()[:NAMED]:
-            place, message = self.first[kind]
-            like = f"{number:,} like {short(message)}, for example at {place}"
-            words.append(f"{short(message)}, at {place}" if number == 1 else like)
-        return [*words, *([f"{len(self.first) - NAMED:,} other reasons"] if len(self.first) > NAMED else [])]
+        words = [
+            f"{short(message)}, at {place}"
+            if number == 1
+            else f"{number:,} like {short(message)}, for example at {place}"
+            for number, place, message in self.most()
+        ]
+        return [*words[:NAMED], *([f"{len(words) - NAMED:,} other reasons"] if len(words) > NAMED else [])]
 
 
 class FailureCount:
@@ -390,16 +388,8 @@ class TerminalProgress:
         self._write("started", points=total.points, done=self._count.done, failed=survey.failed, where=where)
         self._work = pending.cost
         kept = f", {self._count.done:,} of them in the store already" if self._count.done else ""
-        kept += failed_before(survey.failed)
-        if total.points == pending.points and total.blocks > pending.blocks:
-            kept += ", begun already"
-        points = counted(total.points, "point")
-        if not pending.blocks and not survey.failed:
-            self.say(f"{points}, all of them in the store already")
-        elif self._once and total.points == pending.points:
-            self.say(f"{points} to do {where}")
-        else:
-            self.say(f"{points}{kept}; {self._counted(pending)} to do {where}")
+        to_do = f"; {self._counted(pending)} to do {where}" if pending.blocks else ""
+        self.say(f"{counted(total.points, 'point')}{kept}{failed_before(survey.failed)}{to_do}")
         if self._with_bar and pending.blocks:
             self._bar = Live(get_renderable=self._drawn, console=self._console, transient=True)
             self._bar.start()

@@ -234,7 +234,6 @@ class Watched:
         self._points: _Points | None = None
         self._asked: tuple[Any, ...] = ()
         self._parts: dict[str, NDArray[Any]] = {}
-        self._failed: dict[bytes, Record] = {}
         self.reasons: list[tuple[int, Record]] = []
         self._places: list[str] = []
         self._is_written = False
@@ -292,26 +291,22 @@ class Watched:
         manifest = newest(content, manifest_of(opened.root))
         failed = read_failures(self.location, manifest)
         is_shown = points.find(_numbers(failed)[:, 0]) >= 0  # others have left the dataset
-        self._keep({digest: failed[digest] for digest, shown in zip(failed, is_shown, strict=True) if shown})
+        failed = {digest: failed[digest] for digest, shown in zip(failed, is_shown, strict=True) if shown}
+        by_place = {record["place"]: record for record in failed.values()}
+        reasons = reasons_of({place: record["message"] for place, record in by_place.items()})
+        self.reasons = [(points, by_place[place]) for points, place, _ in reasons.most()]
         new = [part for part in manifest.parts if part.rows.name not in self._parts]
         keys = zip(new, read_keys(self.location, new), strict=True)
         known = self._parts | {part.rows.name: points.blocks(one) for part, one in keys}
         self._parts = {part.rows.name: known[part.rows.name] for part in manifest.parts}
         self._is_written = manifest == manifest_of(opened.root)
         blocks = np.hstack([np.zeros((2, 0), dtype=np.int64), *self._parts.values()])
-        self.status, realisations, self.share = points.progress(opened, blocks, self._failed)
+        self.status, realisations, self.share = points.progress(opened, blocks, failed)
         left = float((points.cost * (1.0 - self.share))[self.status == MISSING].sum())
         ended = int(np.isin(self.status, (DONE, FAILED)).sum() if points.noun == "points" else realisations.sum())
         self._last = time.monotonic(), left, ended
         if not self._first[0] or ended < self._first[2]:
             self._first = self._last
-
-    def _keep(self, failed: dict[bytes, Record]) -> None:
-        if failed != self._failed:
-            by_place = {record["place"]: record for record in failed.values()}
-            reasons = reasons_of({place: record["message"] for place, record in by_place.items()})
-            self.reasons = [(points, by_place[reasons.first[kind][0]]) for kind, points in reasons.most()]
-        self._failed = failed
 
     @property
     def progress(self) -> str:

@@ -88,13 +88,13 @@ def test_days_are_told_apart_wherever_they_are_shown(tmp_path):
     assert "(jd=2460000.8, w=2)" in " ".join(answers(linksweep.open(store))[0].sentences)
 
 
-def test_a_prediction_is_shown_with_its_parts_and_a_published_number_with_the_difference():
+def test_a_prediction_with_its_bias_and_a_published_number_are_shown_with_the_difference():
     dataset = grid(0.6, 0.003, published={(0, 0): "0.5"})
     axes = dataset["width"].dims
-    parts = {"width_rms_predicted": 0.5, "width_predicted": 0.4}  # 0.5² = 0.4² + 0.3²
+    parts = {"width_rms_predicted": 0.5, "width_predicted": 0.4}  # of the errors alone
     dataset = dataset.assign({name: (axes, np.full((2, 5), x), {"units": "mas"}) for name, x in parts.items()})
     first = next(line for line in text_of(dataset).splitlines() if line.split()[:1] == ["old"])
-    assert first.split()[2:] == ["0.6000", "±", "0.0030", "0.5000", "0.4000", "0.3000", "0.5", "+20.0", "%"]
+    assert first.split()[2:] == ["0.6000", "±", "0.0030", "0.5000", "0.5", "+20.0", "%"]
     text = text_of(grid(28.0, published={(0, 0): "28"}))  # what is met exactly is a sentence and no column
     assert ("width: all published values are met exactly" in text, "difference" in text) == (True, False)
 

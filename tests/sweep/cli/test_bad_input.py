@@ -192,10 +192,6 @@ COMMANDS = [
     ("run study.toml --workers 0", "Invalid value for '--workers': 0 is not in the range 1<=x<=4096"),
     ("run study.toml --pool gpu", "Invalid value for '--pool': 'gpu' is not one of 'processes', 'threads', 'serial'"),
     ("run study.toml --pool serial --workers 2", "pool serial has no workers"),
-    *(
-        (f"submit study.toml --slurm 3 --sbatch={a}", "the parts are 1 to 3")
-        for a in ("--array=0-2", "-a1-7", "--array=")
-    ),
     ("run study.toml --retry --fresh", "--retry and --fresh contradict each other"),
     ("run study.toml --retry --set seed=8", "--retry computes points of a store as it is"),
     ("run study.toml --retry", "is a file, not a Zarr store"),
