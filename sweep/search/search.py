@@ -138,40 +138,30 @@ def pairs_within(first: KDTree, second: KDTree, radius: float) -> tuple[Indices,
 
 def one_to_one(pairs: pd.DataFrame, first: str, second: str) -> pd.DataFrame:
     """Return the pairs, best first, that are kept if a pair counts only where neither of its objects is taken yet."""
-    # pairs that share no object with another are settled at once, so the loop is over the ambiguous ones only
-    ambiguous = pairs.duplicated(first, keep=False) | pairs.duplicated(second, keep=False)
-    kept = ~ambiguous.to_numpy()
+    kept: list[bool] = []
     taken: tuple[set[int], set[int]] = set(), set()
-    columns = (pairs.loc[ambiguous, name].tolist() for name in (first, second))
-    for row, a, b in zip(np.flatnonzero(ambiguous).tolist(), *columns, strict=True):
-        if a not in taken[0] and b not in taken[1]:
-            kept[row] = True
+    for a, b in zip(pairs[first].tolist(), pairs[second].tolist(), strict=True):
+        kept.append(a not in taken[0] and b not in taken[1])
+        if kept[-1]:
             taken[0].add(a)
             taken[1].add(b)
-    return pairs[kept]
+    return pairs[np.array(kept, dtype=bool)]
 
 
-class Chance(NamedTuple):
-    """One catalogue's pairs within its radius, and how many of them chance would make.
-
-    ``uniform`` is for two uniform skies, ``local`` (+- ``local_error``) from the pairs in a ring about the galaxies.
+def chance_pairs(stars: KDTree, galaxies: KDTree, radius: float) -> dict[str, float]:
+    """Return how many pairs of two sky trees within ``radius`` (rad) chance would make: of two uniform skies, and, with
+    an error, from the pairs in a ring about the galaxies.
     """
-
-    pairs: int
-    uniform: float
-    local: float
-    local_error: float
-
-
-def chance_pairs(stars: KDTree, galaxies: KDTree, radius: float, n_pairs: int) -> Chance:
-    """Return the chance pairs of two sky trees within ``radius`` (rad), beside the ``n_pairs`` that were found."""
     inner, outer = (chord(multiple * radius) for multiple in RING)
     in_inner, in_outer = np.asarray(stars.count_neighbors(galaxies, np.array([inner, outer])), dtype=np.float64)
     to_circle = chord(radius) ** 2 / (outer**2 - inner**2)  # the area of a cap is pi chord^2
     in_ring = float(in_outer - in_inner)
-    # at least one pair, also where there is none
-    error = float(np.sqrt(max(in_ring, 1.0))) * to_circle
-    return Chance(n_pairs, uniform_pairs(stars.n, galaxies.n, radius), in_ring * to_circle, error)
+    return {
+        "chance_pairs_uniform": uniform_pairs(stars.n, galaxies.n, radius),
+        "chance_pairs_local": in_ring * to_circle,
+        # at least one pair, also where there is none
+        "chance_pairs_local_error": float(np.sqrt(max(in_ring, 1.0))) * to_circle,
+    }
 
 
 @dataclass(frozen=True)
@@ -255,7 +245,7 @@ class Matches:
     table: pd.DataFrame
     found_in: Flags
     reasons: pd.DataFrame
-    chance: tuple[Chance, ...]
+    chance: tuple[Mapping[str, float], ...]
     n_galaxies: int
 
     def __getitem__(self, name: str) -> Any:
@@ -309,7 +299,7 @@ def cross_match(
     found_in = np.zeros((len(table), len(catalogues)), dtype=bool)
     found_in[inside["match"], inside["catalogue"]] = True
     chance = tuple(
-        chance_pairs(star_tree, tree, c.radius, len(near[0]))
+        {"pairs": len(near[0])} | chance_pairs(star_tree, tree, c.radius)
         for tree, c, near in zip(trees, catalogues, within, strict=True)
     )
     columns = {"d_ra": d_ra, "d_dec": d_dec, "n_sigma": n_sigma, "n_near": n_near, "class": np.array(CLASSES)[code]}
@@ -695,11 +685,8 @@ def summarise(result: SearchResult) -> dict[str, Any]:
             name: {
                 "entries": len(table),
                 "radius_arcsec": search.said["radius"][name],
-                "pairs": chance.pairs,
                 "matches": int(matched),
-                "chance_pairs_uniform": chance.uniform,
-                "chance_pairs_local": chance.local,
-                "chance_pairs_local_error": chance.local_error,
+                **chance,
             }
             for (name, table), chance, matched in catalogues
         },

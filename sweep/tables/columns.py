@@ -58,6 +58,14 @@ CORRELATIONS: Mapping[str, str] = {
     f"{_NINE[i]}_{_NINE[j]}_corr": f"{_AT_VIZIER[i]}{_AT_VIZIER[j]}cor" for i, j in ALL_PAIRS
 }
 
+# Of quantities, but positions, and of the errors of all.
+_UNITS = {
+    **dict.fromkeys(("ra", "dec", "parallax", "calibrator"), "mas"),
+    **dict.fromkeys(("pmra", "pmdec"), "mas / yr"),
+    **dict.fromkeys(ACCELERATIONS[:2], "mas / yr2") | dict.fromkeys(ACCELERATIONS[2:], "mas / yr3"),
+    **{"ref_epoch": "yr", "radial_velocity": "km / s"},
+}
+
 ALONG_RA = ("ra", "ra_error", "pmra", "pmra_error")
 # The smallest and the largest epoch that is allowed, Julian years.
 EPOCHS = (1700.0, 2300.0)
@@ -126,14 +134,10 @@ def column_of(quantity: str, names: Collection[str], columns: Mapping[str, str] 
 def unit_of(quantity: str) -> str:
     """Return the unit in which a quantity is read, which is also that of a column without one; '' for pure numbers."""
     plain = _plain(quantity)
-    stem = plain.removesuffix("_error")
-    if stem not in PARAMETERS:
-        others = {"ref_epoch": "yr", "radial_velocity": "km / s", "calibrator": "mas"}
-        others |= dict(zip(ACCELERATIONS, ("mas / yr2", "mas / yr2", "mas / yr3", "mas / yr3"), strict=True))
-        return others.get(stem, "mag" if stem.endswith("_mag") else "")
     if plain in ("ra", "dec"):
         return "deg"
-    return "mas / yr" if stem.startswith("pm") else "mas"
+    stem = plain.removesuffix("_error")
+    return _UNITS.get(stem, "mag" if stem.endswith("_mag") else "")
 
 
 def _plain(quantity: str) -> str:
@@ -330,9 +334,11 @@ class Columns:
     def _no_numbers(self, name: str) -> str:
         clause = ""
         if self.kind(name) in "USO" and len(self):
-            texts = self.text(name).tolist()
-            row = next((row for row, text in enumerate(texts) if text not in MISSING and not _is_number(text)), 0)
-            clause = f": row {row + 1} has the text {texts[row]!r}"
+            import pandas as pd
+
+            texts = self.text(name)
+            row = np.argmax(np.isnan(pd.to_numeric(texts, errors="coerce")) & ~np.isin(texts, MISSING))
+            clause = f": row {row + 1} has the text {str(texts[row])!r}"
         return f"column {name!r} does not hold numbers{clause}"
 
     def unit(self, quantity: str) -> Any:
@@ -439,13 +445,6 @@ def _written(value: Any) -> str:
     if isinstance(value, (float, np.floating)) and float(value).is_integer() and abs(float(value)) < 2.0**53:
         return str(int(value))
     return str(value)
-
-
-def _is_number(text: str) -> bool:
-    try:
-        return not np.isnan(float(text))
-    except ValueError:
-        return False
 
 
 def _factor(unit: Any, wanted: str, right_ascension: bool) -> float | None:

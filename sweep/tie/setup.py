@@ -251,12 +251,10 @@ def _names(left: AstrometricTable, reference: AstrometricTable, matched: "Match"
     """Return the names of all sources: the satellite's first column of names, else the reference's, else numbers; those
     of the reference first if the tables have identifiers of two releases.
     """
-    if left.names and not matched.releases:
-        return next(iter(left.names.values()))
-    numbers = np.arange(1, len(left.astrometry) + 1).astype(np.str_)
-    names = next(iter(left.names.values()), numbers).astype(object)
-    if reference.names:
-        names[matched.source] = next(iter(reference.names.values()))[matched.rows]
+    if (left.names and not matched.releases) or not reference.names:
+        return left.labels
+    names = left.labels.astype(object)
+    names[matched.source] = reference.labels[matched.rows]
     return names.astype(np.str_)
 
 
@@ -493,17 +491,15 @@ def _elsewhere(satellite: AstrometricTable, table: AstrometricTable, matched: Ma
         near = match(satellite, rows, f"position:{FAR_DEG * 3600.0:g}")
     except SweepError:  # none of them is near any source
         return ""
-    names = next(iter(satellite.names.values()), np.arange(1, len(satellite.astrometry) + 1).astype(str))
+    names = satellite.labels
     both = zip(names[matched.source[far[near.rows]]], names[near.source], strict=True)
     pairs = dict.fromkeys(f"{a} is where {b} is" for a, b in both if a != b)
     return f"{', '.join(list(pairs)[:3])}: are names exchanged?" if pairs else ""
 
 
 def _listed(table: AstrometricTable, rows: Indices) -> str:
-    """Return the names of rows, at most five, or their numbers."""
-    if not table.names:
-        return named_rows(rows)
-    return first_of(list(dict.fromkeys(next(iter(table.names.values()))[rows].tolist())), 5)
+    """Return the names of rows, at most five."""
+    return first_of(list(dict.fromkeys(table.labels[rows].tolist())), 5)
 
 
 def match_notes(satellite: AstrometricTable, table: AstrometricTable, matched: Match, rows: Astrometry) -> list[str]:
@@ -616,9 +612,9 @@ def known_unknowns(options: Options, stars: Astrometry) -> tuple[Unknowns, Array
 def _known_spin(options: Options, stars: Astrometry) -> tuple[Unknowns, Array] | None:
     """Return the block and the values (rad/yr) of a spin that is known: a vector, or a table by bins of a column.
 
-    A table has columns COLUMN_min and COLUMN_max of the satellite's magnitude (or other) COLUMN, or mag_min and
-    mag_max for phot_g_mean_mag, and omega_x, omega_y, omega_z with a unit; its metadata may have ``sign`` and
-    ``release``.  Raises SweepError for anything else, for sources outside its bins, and for those of another release.
+    A table has columns mag_min and mag_max of phot_g_mean_mag, and omega_x, omega_y, omega_z with a unit; its metadata
+    may have ``sign`` and ``release``.  Raises SweepError for anything else, for sources outside its bins, and for those
+    of another release.
     """
     spin, sign = options.known_spin, SIGNS[options.sign]
     if spin is None:
@@ -630,16 +626,15 @@ def _known_spin(options: Options, stars: Astrometry) -> tuple[Unknowns, Array] |
         there = " and ".join(at) or "no release"
         raise SweepError(f"spins of {release}, and the satellite's epochs are those of {there}", str(spin))
     sign = SIGNS[table.meta.get("sign", options.sign)]
-    names = [name[:-4] for name in table.colnames if name.endswith("_min") and f"{name[:-4]}_max" in table.colnames]
-    axes = [f"omega_{axis}" for axis in "xyz"]
-    if len(names) != 1 or any(name not in table.colnames or table[name].unit is None for name in axes):
-        needs = f"one pair of columns NAME_min, NAME_max, and {', '.join(axes)} with units, uas/yr or mas/yr"
+    ends, axes = ("mag_min", "mag_max"), [f"omega_{axis}" for axis in "xyz"]
+    if not {*ends, *axes} <= {*table.colnames} or any(table[name].unit is None for name in axes):
+        needs = f"{', '.join(ends)}, and {', '.join(axes)} with units, uas/yr or mas/yr"
         raise SweepError(f"a table of spins has {needs}; here {', '.join(table.colnames)}", str(spin))
-    table.sort(f"{names[0]}_min")
-    low, high = (np.asarray(table[f"{names[0]}_{end}"], dtype=np.float64) for end in ("min", "max"))
-    column = {"mag": "phot_g_mean_mag", "G": "phot_g_mean_mag"}.get(names[0], names[0])
+    table.sort(ends[0])
+    low, high = (np.asarray(table[name], dtype=np.float64) for name in ends)
     if np.any(low[1:] != high[:-1]) or np.any(high <= low):
-        raise SweepError(f"the bins of {names[0]} do not follow one another", str(spin))
+        raise SweepError("the bins of magnitude do not follow one another", str(spin))
+    column = "phot_g_mean_mag"
     values = stars.columns.get(column, np.full(len(stars), np.nan))
     if np.any(outside := ~((values >= low[0]) & (values < high[-1]))):
         raise SweepError(f"{np.count_nonzero(outside)} matched sources have no {column} in its bins", str(spin))

@@ -60,9 +60,6 @@ TYPICAL = (0.005, 300.0)
 # No array of telescopes has errors that differ by more between the coordinates.
 UNEQUAL = 100.0
 
-# Errors of the positions of calibrators, mas.
-CALIBRATORS = (0.005, 50.0)
-
 # Of values, and of the errors of positions.
 UNITS = {name: archives.unit_of(f"{name}_error").replace(" ", "") for name in (*PARAMETERS, *ACCELERATIONS)}
 
@@ -131,6 +128,11 @@ class AstrometricTable:
     columns: str = ""
     releases: Mapping[str, str] = field(default_factory=dict)
     options: TableOptions = field(default_factory=TableOptions)
+
+    @property
+    def labels(self) -> Texts:
+        """The names of the rows (N,): those of the first column of names, else numbers from 1."""
+        return next(iter(self.names.values()), np.arange(1, len(self.astrometry) + 1).astype(np.str_))
 
     def named_notes(self) -> list[str]:
         """Return the notes with the name of the file."""
@@ -575,11 +577,6 @@ def _calibrators(read: Columns) -> dict[str, Any]:
         return {}
     shared = np.where(names == "", 0.0, read.quantity("calibrator_error", "allowed", MAS))
     read.check(~((shared >= 0.0) & (shared < np.inf)), "a calibrator without an error that is 0 or more")
-    low, high = CALIBRATORS
-    if np.any(unlikely := (shared > 0.0) & ~((shared >= low * MAS) & (shared <= high * MAS))):
-        median, rows = np.median(shared[unlikely]) / MAS, core.named_rows(np.flatnonzero(unlikely))
-        unit = "arcsec" if median < low else "uas"
-        read.notes.append(f"calibrator_error of {median:.2g} mas, {rows}: is it in {unit}? Say --unit")
     return {"calibrator": names, "shared": shared}
 
 

@@ -167,6 +167,7 @@ def test_local_chance_pairs_follow_the_crowding():
 
     stars, galaxies = strip(20_000), strip(20_000)
     chance = cross_match(stars, no_supplement(stars), [catalogue(galaxies, 30.0)]).chance[0]
-    np.testing.assert_allclose(chance.uniform, 4e8 * np.sin(15.0 * ARCSEC) ** 2)
-    assert abs(chance.local - 10.0 * chance.uniform) < 5.0 * chance.local_error
-    assert abs(chance.pairs - chance.local) < 4.0 * np.sqrt(chance.local)
+    np.testing.assert_allclose(chance["chance_pairs_uniform"], 4e8 * np.sin(15.0 * ARCSEC) ** 2)
+    local, error = chance["chance_pairs_local"], chance["chance_pairs_local_error"]
+    assert abs(local - 10.0 * chance["chance_pairs_uniform"]) < 5.0 * error
+    assert abs(chance["pairs"] - local) < 4.0 * np.sqrt(local)
