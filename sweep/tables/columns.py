@@ -246,12 +246,16 @@ class Columns:
         except ValueError as error:
             self.problems.append(str(error))
             return np.full(len(self), np.nan)
-        if _plain(quantity) in ALONG_RA[1:] and (self.in_time(quantity) if cos_dec is None else not cos_dec):
+        if self.lacks_cos_dec(quantity, cos_dec):
             values = values * self._cos_dec
         if missing == "refused" and len(self.problems) == known:
             self.check(np.isnan(values), f"no {self.label(quantity)}")
             self.check(np.isinf(values), f"an infinite {self.label(quantity)}")
         return values
+
+    def lacks_cos_dec(self, quantity: str, cos_dec: bool | None) -> bool:
+        """Return whether a quantity is to get the factor cos(dec); ``cos_dec`` as in `quantity`."""
+        return _plain(quantity) in ALONG_RA[1:] and (self.in_time(quantity) if cos_dec is None else not cos_dec)
 
     @cached_property
     def _cos_dec(self) -> Array:
@@ -360,25 +364,29 @@ class Columns:
 
     def _converted(self, name: str, quantity: str) -> Array:
         """Return a column in the unit of its quantity; raises ValueError for one that cannot be read."""
-        wanted, along_ra = unit_of(quantity), _plain(quantity) in ALONG_RA
-        if self.kind(name) not in "fiuUSO" or (self.kind(name) in "USO" and wanted != "deg"):
+        is_text = self.kind(name) in "USO"
+        if self.kind(name) not in "fiuUSO" or (is_text and unit_of(quantity) != "deg"):
             raise ValueError(self._no_numbers(name))
-        unit = self.unit(quantity)
-        if self.kind(name) in "USO":
-            return self._sexagesimal(name, unit, along_ra)
-        values = self.numbers(name)
+        if is_text:
+            return self._sexagesimal(name, self.unit(quantity), _plain(quantity) in ALONG_RA)
+        return self.numbers(name) * self.factor(quantity)
+
+    def factor(self, quantity: str) -> float:
+        """Return what the numbers of a column are multiplied by to be in the unit of a quantity; raises ValueError."""
+        name, unit, wanted = str(self.name(quantity)), self.unit(quantity), unit_of(quantity)
         if unit is None:
+            values = self.numbers(name)
             size = float(np.max(np.abs(values), where=~np.isnan(values), initial=0.0))
             if wanted == "deg" and _NAMED_RADIANS.search(name) and size <= 2.0 * np.pi:
-                return np.degrees(values)
+                return 180.0 / np.pi
             # the Gaia archive's CSV has no units, and a small field may lie anywhere
             if quantity == "ra" and np.isfinite(values).any() and not (name == "ra" and {*self.names} >= GAIA_MARKS):
                 _check_hours(name, values, size)
-            return values
-        factor = _factor(unit, wanted, along_ra)
+            return 1.0
+        factor = _factor(unit, wanted, _plain(quantity) in ALONG_RA)
         if factor is None:
             raise ValueError(f"column {name!r} is in {unit}, not convertible to {wanted}")
-        return values if factor == 1.0 else values * factor
+        return factor
 
     def _sexagesimal(self, name: str, unit: Any, right_ascension: bool) -> Array:
         import pandas as pd

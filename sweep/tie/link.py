@@ -24,7 +24,7 @@ from linksweep.sweep.contract import SweepError, p_value
 from linksweep.sweep.executing.executor import mapped
 from linksweep.sweep.executing.pools import NO_LIMITS, Limits, Resources
 from linksweep.sweep.result import require_free, stored_table, write_at_once
-from linksweep.sweep.tables.columns import ALONG_RA, CORRELATIONS, Columns, unit_of
+from linksweep.sweep.tables.columns import CORRELATIONS, Columns, unit_of
 from linksweep.sweep.tables.options import number, refused
 from linksweep.sweep.tables.reader import read_table
 from linksweep.sweep.tie import tables as files
@@ -832,16 +832,11 @@ def _put(read: Columns, new: dict[str, Array], cos_dec: bool | None, is_csv: boo
             read.problems.append(f"column {name!r} is in {unit}, which CSV cannot say: write .ecsv")
         else:
             put.append(name)
-            scale = 1.0 if not usual else DEGREE if quantity in ("ra", "dec") else MAS
-            stated = read.numbers(name)
-            before = read.quantity(quantity, "allowed", scale, cos_dec=True) if usual else stated
-            some = np.isfinite(before) & (stated != 0.0)
-            factor = np.median(before[some] / stated[some]) if np.any(some) else scale
-            of_motion = cos_dec if quantity.startswith("pmra") and usual else None
-            if quantity in ALONG_RA[1:] and (read.in_time(quantity) if of_motion is None else not of_motion):
-                factor = factor * np.cos(new["dec"])
+            scale: Any = read.factor(quantity) * (DEGREE if quantity in ("ra", "dec") else MAS) if usual else 1.0
+            if read.lacks_cos_dec(quantity, cos_dec if quantity.startswith("pmra") else None):
+                scale = scale * np.cos(new["dec"])
             at = np.isfinite(values)
             read.table[name] = read.table[name].astype(np.float64)
-            read.table[name][at] = (values / factor)[at]
+            read.table[name][at] = (values / scale)[at]
     read.finish()
     return [*put, *([files.put_vector(read, new)] if read.has("corr_vec") else [])]
