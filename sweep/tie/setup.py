@@ -198,7 +198,7 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
     jitter = parse_jitter(options.jitter, missions)
     if (options.star_models or options.orbits) and not options.epochs:
         raise SweepError("models and orbits are of stars with epoch astrometry: give its files as epochs")
-    left = read_table(files.path_of(satellite), how["satellite"])
+    left = read_table(Path(satellite), how["satellite"])
     n = len(left.astrometry)
     if len(without := np.flatnonzero(~np.isfinite(left.astrometry.values[:2]).all(axis=0))):
         raise SweepError(f"each source needs a position, and there is none in {named_rows(without)}", left.path)
@@ -208,7 +208,7 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
         left, epochs = files.with_observations(left, observed, dict(options.star_models), options.orbits)
         notes += epochs.notes
     tables, matches, parts = {SIDES[0]: left}, [], []
-    for frame, (name, path) in enumerate({SIDES[1]: str(files.path_of(reference)), **missions}.items()):
+    for frame, (name, path) in enumerate({SIDES[1]: str(Path(reference)), **missions}.items()):
         if not frame and path == ZERO_MOTION:
             moving = moving_sources(left.astrometry)
             table = AstrometricTable(ZERO_MOTION, "", zero_motion(len(moving), options), {}, options=how[name])
@@ -711,7 +711,7 @@ MOST_NOTES = 5
 
 def in_row_groups(satellite: str | Path, reference: str | Path, options: Options) -> bool:
     """Return whether a table is read by row groups: many quasars in Parquet, of which no row needs a match."""
-    path = files.path_of(satellite)
+    path = Path(satellite)
     alone = str(reference) == ZERO_MOTION and not (options.missions or options.where or options.epochs)
     return alone and path.is_file() and reader.is_parquet(path) and sum(reader.row_groups(path)[0]) >= FROM_ROWS
 

@@ -183,13 +183,6 @@ def as_read(link: Mapping[str, Any], table: Any, digest: str, asked: ApplyOption
     )
 
 
-def path_of(table: Any) -> Path:
-    """Return the path that stands for a table; raises SweepError for anything else."""
-    if isinstance(table, str | Path):
-        return Path(table)
-    raise SweepError(f"a table is a file or the name of a built-in one: write this {type(table).__name__} to a file")
-
-
 def built_in(path: Path) -> Path:
     """Return the file of a built-in table by its name; any other path as it is."""
     if path.suffix or len(path.parts) > 1 or path.exists():
