@@ -95,8 +95,8 @@ _NAMED_TIME = re.compile(
 )
 _NAMED_RADIANS = re.compile(r"[\W_]rad\W*$|^(ra|de|dec)rad$", re.I)
 _ANGLE = (
-    r"\s*([+\-\u2212]?)\s*(\d{1,3})\s*([:hd°\s])\s*(\d{1,2})"
-    r"(?:\s*[:m'′\s]\s*(\d{1,2}(?:\.\d*)?)\s*(?:s|\"|″)?|(\.\d*))?\s*m?\s*"
+    r"\A\s*(?P<sign>[+\-\u2212]?)\s*(?P<first>\d{1,3})\s*(?P<mark>[:hd°\s])\s*(?P<minutes>\d{1,2})"
+    r"(?:\s*[:m'′\s]\s*(?P<seconds>\d{1,2}(?:\.\d*)?)\s*(?:s|\"|″)?|(?P<fraction>\.\d*))?\s*m?\s*\Z"
 )
 
 
@@ -397,19 +397,15 @@ class Columns:
         hours = SEXAGESIMAL.get(form, right_ascension)
         texts = pd.Series([_written(item) for item in self.table[name]], dtype=object)
         there = ~gaps(self.table[name]) & (texts.str.strip() != "").to_numpy()
-        parts = texts.str.extract(rf"\A{_ANGLE}\Z", flags=re.IGNORECASE)
-        parts.columns = ["sign", "first", "mark", "minutes", "seconds", "fraction"]
+        parts = texts.str.extract(_ANGLE, flags=re.IGNORECASE)
         mark, first = parts["mark"].str.lower(), parts["first"].astype(float)
         in_hours = (mark == "h") | (hours & ~mark.isin(["d", "°"]))
         minutes = (parts["minutes"] + parts["fraction"].fillna("")).astype(float)
         seconds = parts["seconds"].astype(float).fillna(0.0)
         good = (minutes < 60.0) & (seconds <= 60.0) & ~(in_hours & (not right_ascension or first >= HOURS))
         if (bad := there & ~good.to_numpy()).any():
-            example = "12 34 56.7 or 12:34:56.7" if hours else "-12 34 56.7 or -12:34:56.7"
-            rows = rows_listed(bad, [repr(text) for text in texts])
-            too_many = hours and not form and np.any(first[bad].notna())
-            hint = "; is it in degrees? Say it: units ra = deg" if too_many else ""
-            raise ValueError(f"column {name!r} is text that is no angle like {example} in row {rows}{hint}")
+            rows, words = rows_listed(bad, [repr(text) for text in texts]), "hours" if hours else "degrees"
+            raise ValueError(f"column {name!r} is text that is no angle in {words} like 12:34:56.7 in row {rows}")
         values = (first + minutes / 60.0 + seconds / 3600.0) * np.where(in_hours, 15.0, 1.0)
         return np.asarray(values.where(~parts["sign"].isin(["-", "\u2212"]), -values).where(there), dtype=np.float64)
 
