@@ -67,19 +67,17 @@ class FunctionCurve:
         name, flat = f"the function {self.function.name!r}", np.array(v_mag, dtype=np.float64).reshape(-1)
         try:
             with np.errstate(all="ignore"):  # the values are checked below
-                returned = self.function(flat.copy())  # a copy: the function may change it
-                values = np.asarray(returned)
+                returned = np.ma.asarray(self.function(flat.copy()))  # a copy: the function may change it
         except (Exception, SystemExit) as error:  # whatever a user's function raises
             raise CurveError(f"{name} raises {type(error).__name__}: {error}") from error
-        if values.shape != flat.shape or values.dtype.kind not in "fiu":
-            what = f"{values.dtype} of shape {values.shape}"
+        if returned.shape != flat.shape or returned.dtype.kind not in "fiu":
+            what = f"{returned.dtype} of shape {returned.shape}"
             raise CurveError(f"{name} returns {what}, not numbers of shape {flat.shape}")
-        if masked := np.count_nonzero(np.ma.getmaskarray(returned)):
-            raise CurveError(f"{name} returns {masked} masked values")
+        values = returned.astype(np.float64).filled(np.nan)
         if (bad := ~(np.isfinite(values) & (values > 0))).any():
             value, at = values[bad][0], flat[bad][0]
             raise CurveError(f"{name} returns {value:g} at V = {at:g} mag: must be positive and finite")
-        return np.asarray(self.factor * values.astype(np.float64)).reshape(np.shape(v_mag))
+        return np.asarray(self.factor * values).reshape(np.shape(v_mag))
 
     def times(self, factor: float) -> "FunctionCurve":
         """Return the curve times a factor."""

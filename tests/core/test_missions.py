@@ -31,7 +31,7 @@ NO_CURVES = {  # what is said of a function
     "the function 'sigma' raises SystemExit: 3": lambda v: sys.exit(3),
     "the function 'sigma' returns nan at V = 15 mag: must be positive and finite": lambda v: np.log10(v - 16.0),
     "returns float64 of shape (), not numbers of shape (5,)": lambda v: 0.3,
-    "the function 'sigma' returns 2 masked values": lambda v: np.ma.masked_greater(v, 17.5),
+    "the function 'sigma' returns nan at V = 18 mag": lambda v: np.ma.masked_greater(v, 17.5),
 }
 PUBLISHED = [
     ("amex", "pos_mas", 9.0, 0.15, 0.72, 0.01),  # DIVA; docs/calibration.md says why it is better
