@@ -23,17 +23,8 @@ if TYPE_CHECKING:
 # results of a study; what is derived from them; measurements of `sweep scaling`; links, forecasts and matches of tables
 ResultKind = Literal["grid", "law", "crossings", "sensitivity", "scaling", "tie", "forecast", "match"]
 
-# Stores of these kinds are one dataset, without a study and its ledger, which has the name of its kind as ``result``.
+# What these are is the attribute ``result``; their stores are one dataset, without a study and its ledger.
 STORED_TABLES: tuple[ResultKind, ...] = ("tie", "forecast", "match", "law", "crossings", "sensitivity", "scaling")
-
-# Variables and attributes that only datasets of one kind have.  The first counts: outputs of a study may have any name.
-MARKS: dict[str, ResultKind] = {
-    "status": "grid",
-    "law": "law",
-    "condition": "crossings",
-    "sensitivity_method": "sensitivity",
-    "efficiency": "scaling",
-}
 
 
 @dataclass(frozen=True)
@@ -47,10 +38,9 @@ class Result:
         """What it is; raises SweepError for a dataset that is no result of linksweep."""
         if (name := self.dataset.attrs.get("result")) in STORED_TABLES:
             return name  # type: ignore[no-any-return]
-        names = {*self.dataset.attrs, *self.dataset.data_vars}
-        if (kind := next((kind for mark, kind in MARKS.items() if mark in names), None)) is None:
+        if "status" not in self.dataset:
             raise SweepError("the dataset is no result of a study: it has no status")
-        return kind
+        return "grid"
 
     @property
     def title(self) -> str:
@@ -102,8 +92,7 @@ class Result:
         """
         require_free(path)
         # it warns that text and consolidated metadata have no final specification in Zarr 3
-        named = self.dataset.assign_attrs(result=self.kind)
-        write_at_once(path, lambda new: named.to_zarr(new, mode="w", zarr_format=3))
+        write_at_once(path, lambda new: self.dataset.to_zarr(new, mode="w", zarr_format=3))
 
     def _made(self, what: str) -> Any:
         modules = {"tie": "tie.result", "forecast": "tie.result", "match": "search.search"}

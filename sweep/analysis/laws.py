@@ -319,7 +319,7 @@ def fit_power_law(
         row["conclusion"] = EXCLUDED if not row["points"] else within if math.isfinite(apart) else ""
     shown = ["exponent", "expected", "deviation", "p_value", "points", "chi2", "dof", "amplitude", "pivot"]
     notes = _notes(f"{variable} = amplitude x ({over} / pivot)^exponent", made, rows)
-    return made.dataset(rows, [*shown, "conclusion"], notes, law="power")
+    return made.dataset(rows, [*shown, "conclusion"], notes, result="law", law="power")
 
 
 def fit_levelling(
@@ -360,7 +360,7 @@ def fit_levelling(
         row["conclusion"] = _levelling_in_words(row, line.x, made.over_unit) if row["points"] else EXCLUDED
     formula = f"{variable}^2 = plateau^2 + c exp(-rate x {over}); errors are scaled where chi2 > dof"
     shown = ["plateau", "p_value", "points", "chi2", "dof", "conclusion"]
-    return made.dataset(rows, shown, _notes(formula, made, rows), law="levelling", fall=fall)
+    return made.dataset(rows, shown, _notes(formula, made, rows), result="law", law="levelling", fall=fall)
 
 
 def ratio(dataset: xr.Dataset, variable: str, axis: str, of: Any, to: Any) -> xr.Dataset:
@@ -557,7 +557,7 @@ def find(dataset: xr.Dataset, limit: Limit | str, over: str, covariance: xr.Data
     for row, line in zip(rows, made.lines, strict=True):
         row["conclusion"] = _crossing_in_words(row, made.over_unit, line, thresholds.get(line.unit, np.nan))
     notes = [f"{limit} along {over}; errors: {made.errors}"]
-    result = made.dataset(rows, ["conclusion"], notes, condition=str(limit))
+    result = made.dataset(rows, ["conclusion"], notes, result="crossings", condition=str(limit))
     flags = {"flag_values": list(range(len(MET_WORDS))), "flag_meanings": ", ".join(MET_WORDS)}
     result["met"] = result["met"].astype("int8").assign_attrs(result["met"].attrs | flags)
     return result

@@ -122,7 +122,7 @@ def sensitivity(dataset: xr.Dataset, output: str | None = None, seed: int = 0) -
         for name, one in zip(method.indices, numbers, strict=True)
     }
     grid = quantity.grid_of(dataset, others).assign_coords(parameter=np.array(method.parameters, dtype=object))
-    about = {"output": output, METHOD: method.name, "points": points}
+    about = {"result": "sensitivity", "output": output, METHOD: method.name, "points": points}
     return derived(grid, [*others, "parameter"], columns, [n for n in columns if n in MEANINGS], notes, **about)
 
 

@@ -22,7 +22,7 @@ import linksweep
 from linksweep.sweep import cli
 from linksweep.sweep.cli import FILE, JSON, POSITIVE, WORKERS, arg, choice, flag, many, opt, parsed, passed
 from linksweep.sweep.executing.pools import DEFAULT_POOL, POOLS, PoolName, Resources
-from linksweep.sweep.formatting import COMMAND, counted, harmless, in_words, to_json, typed, without_secrets
+from linksweep.sweep.formatting import COMMAND, counted, harmless, in_words, to_json, typed
 from linksweep.sweep.interrupt import RunInterruptedError
 from linksweep.sweep.search.options import SearchOptions
 from linksweep.sweep.tables.options import Declared, declared
@@ -116,25 +116,10 @@ class Watching:
         return logging.ERROR if self.quiet else logging.DEBUG if self.verbose else logging.INFO
 
 
-class _Lines(logging.Handler):
-    """Writes to an open file; not a StreamHandler, which Dask would silence with its own."""
-
-    def __init__(self, file: TextIO) -> None:
-        super().__init__()
-        self._file = file
-        self.setFormatter(logging.Formatter("%(asctime)s %(levelname)s %(message)s"))
-
-    def emit(self, record: logging.LogRecord) -> None:
-        try:
-            self._file.write(without_secrets(harmless(self.format(record))) + "\n")
-        except OSError:
-            self.handleError(record)
-
-
 @contextmanager
 def _logged(watching: Watching) -> Iterator[None]:
     """Send what a run says, and what Dask logs, to standard error and the log file in this block."""
-    from linksweep.sweep.running.progress import RECORD, SENTENCES, Sentences
+    from linksweep.sweep.running.progress import RECORD, SENTENCES, Lines
 
     with ExitStack() as stack:
 
@@ -143,7 +128,7 @@ def _logged(watching: Watching) -> Iterator[None]:
                 logger.addHandler(handler)
                 stack.callback(logger.removeHandler, handler)
 
-        handle(Sentences(watching.level), SENTENCES)
+        handle(Lines(watching.level), SENTENCES)
         SENTENCES.setLevel(logging.DEBUG if watching.log is not None else watching.level)
         # Else Python prints what nobody handles to standard error.
         handle(logging.NullHandler(), RECORD)
@@ -152,11 +137,10 @@ def _logged(watching: Watching) -> Iterator[None]:
             stack.callback(setattr, logger, "propagate", logger.propagate)
             logger.propagate = False
         if watching.level == logging.DEBUG:
-            warnings = Sentences(logging.WARNING)
-            warnings.setFormatter(logging.Formatter("Dask: %(message)s"))
-            handle(warnings, *DASK)
+            handle(Lines(logging.WARNING, "Dask: %(message)s"), *DASK)
         if watching.log is not None:
-            handle(_Lines(watching.log), SENTENCES, RECORD, *DASK)
+            file = Lines(logging.NOTSET, "%(asctime)s %(levelname)s %(message)s", watching.log)
+            handle(file, SENTENCES, RECORD, *DASK)
             RECORD.info("%s", shlex.join(COMMAND))
         try:
             yield

@@ -4,7 +4,7 @@ No module that draws is imported before a figure is made, because matplotlib tak
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from importlib import import_module
+from pkgutil import resolve_name
 from typing import Any, NamedTuple
 
 
@@ -16,8 +16,7 @@ class Kind(NamedTuple):
 
     def load(self) -> Any:
         """Return the object that draws the figure."""
-        module, _, name = self.reference.partition(":")
-        return getattr(import_module(f"linksweep.sweep.plots.{module}"), name)
+        return resolve_name(f"linksweep.sweep.plots.{self.reference}")
 
 
 class GridFigure(NamedTuple):

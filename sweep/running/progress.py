@@ -10,7 +10,6 @@ import time
 from array import array
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence, Set
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Protocol, TextIO
 
@@ -23,7 +22,7 @@ from rich.text import Text
 
 from linksweep.sweep.contract import shown
 from linksweep.sweep.executing.task import Failure, TaskResult
-from linksweep.sweep.formatting import ESCAPED, counted, harmless, in_words, now, per_second, typed
+from linksweep.sweep.formatting import ESCAPED, counted, harmless, in_words, now, per_second, typed, without_secrets
 from linksweep.sweep.interrupt import how_ended
 from linksweep.sweep.planning.grid import Grid, GridPoint, describe
 from linksweep.sweep.planning.plan import PlanSize, Survey, Work
@@ -538,13 +537,24 @@ class TerminalProgress:
         return grid
 
 
-class Sentences(logging.Handler):
-    """Writes to the present standard error, which a bar replaces so that it stays below the lines."""
+class Lines(logging.Handler):
+    """Writes to an open file, or to the present standard error, which a bar replaces so that it stays below the lines;
+    not a StreamHandler, which Dask would silence with its own.
+    """
+
+    def __init__(self, level: int, form: str = "%(message)s", file: TextIO | None = None) -> None:
+        super().__init__(level)
+        self._file = file
+        self.setFormatter(logging.Formatter(form))
 
     def emit(self, record: logging.LogRecord) -> None:
         """Write a line; if the terminal is closed, nobody can read it and the error is ignored."""
-        with suppress(OSError, ValueError):
-            print(harmless(self.format(record)), file=sys.stderr, flush=True)
+        text = harmless(self.format(record))
+        try:
+            print(text if self._file is None else without_secrets(text), file=self._file or sys.stderr, flush=True)
+        except (OSError, ValueError):
+            if self._file is not None:
+                self.handleError(record)
 
 
 def in_notebook() -> bool:

@@ -77,6 +77,7 @@ def measure_scaling(
     dataset = _dataset(np.array(workers), timed)
     return dataset.assign_attrs(
         provenance(study),
+        result="scaling",
         title=f"Scaling of “{study.title}”",
         finished=now(),
         pool=pool,
