@@ -159,10 +159,8 @@ def _folders(_context: click.Context, _parameter: click.Parameter, incomplete: s
     return [CompletionItem(incomplete, type="dir")]
 
 
-def _keys(
-    context: click.Context, _parameter: click.Parameter, incomplete: str, more: Sequence[str] = ()
-) -> list[CompletionItem]:
-    """Offer the axes of the study that was given before, what it fixes, and ``more``."""
+def _keys(context: click.Context, _parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Offer the axes of the study that was given before, what it fixes, and what all studies have."""
     # The study is not parsed yet where an option lacks its value.
     study = str(context.params.get("study") or next(iter(context.args), ""))
     document: dict[str, Any] = {}
@@ -173,11 +171,10 @@ def _keys(
             # A shell waits for this at each press of a key.
             document = tomllib.loads(path.read_text(encoding="utf-8"))
     tables = [table for key in ("axes", "fixed") if isinstance(table := document.get(key), dict)]
-    keys = [f"{key}=" for table in (*tables, more) for key in table]
+    keys = [f"{key}=" for table in (*tables, SAMPLING) for key in table]
     return [CompletionItem(key) for key in keys if key.startswith(incomplete)]
 
 
-_ALSO_SAMPLING = partial(_keys, more=SAMPLING)
 STORE = arg(callback=_named, shell_complete=_folders)
 STORES = arg(nargs=-1, metavar="STORE...", callback=_named, shell_complete=_folders)
 STUDY = arg(shell_complete=_studies)
@@ -189,7 +186,7 @@ TRUST = flag("Run code that is inside a store, or that one from elsewhere names.
 AXES = many(
     "Override or add an axis: 14:20:0.5, 0:1:lin5, 1:9:log3.", "--axis", shell_complete=_keys, metavar="NAME=SPEC"
 )
-SETTINGS = many("Override a value, e.g. n_sim=500.", "--set", metavar="KEY=VALUE", shell_complete=_ALSO_SAMPLING)
+SETTINGS = many("Override a value, e.g. n_sim=500.", "--set", metavar="KEY=VALUE", shell_complete=_keys)
 DESIGNS = "e.g. sobol:256 or sobol:256:SEED; latin-hypercube, halton, random, saltelli, morris."
 
 

@@ -12,7 +12,6 @@ import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stdout
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -711,8 +710,6 @@ def _declared(entry: str, *groups: type[Declared]) -> Any:
         more: dict[str, Any] = {"metavar": metavar, "type": str} if metavar else {"is_flag": True}
         if metavar == "FILE":
             more["type"] = FILE
-        if choices := limits.get("choices"):
-            more["shell_complete"] = partial(_words, choices)
         name = one.name.removesuffix("s") if "=" in metavar and kind in ("map", "files") else one.name
         several = kind in ("map", "files") or bool(one.metadata["joined"])
         flag_name = FLAGS.get(one.name, "--" + name.replace("_", "-"))
@@ -721,10 +718,6 @@ def _declared(entry: str, *groups: type[Declared]) -> Any:
         text = limits["meaning"]
         made[one.name] = opt(f"{text[:1].upper()}{text[1:]}.", flag_name, multiple=several, **more)
     return passed(**made)
-
-
-def _words(words: Sequence[str], _context: Any, _parameter: Any, incomplete: str) -> list[str]:
-    return [word for word in words if word.startswith(incomplete)]
 
 
 @dataclass(frozen=True)

@@ -508,13 +508,7 @@ def _draw_series(
             drawn = axes.errorbar(x[marked], y[marked], error, **look)
             drawn.lines[0].set_label(style.ALONE if alone.any() else style.RUNNING)  # for the caption
     if running.any():
-        centre = {
-            **look,
-            "color": "white",
-            "markersize": 0.5 * look["markersize"],
-            "zorder": 3.1,
-            "label": style.RUNNING,
-        }
+        centre = look | {"color": "white", "markersize": 0.5 * look["markersize"], "zorder": 3.1}
         moved.append(axes.errorbar(x[running], y[running], **centre))
         moved[-1].lines[0].set_label(style.RUNNING)  # for the caption
     for level in y[np.isnan(x) & np.isfinite(y)]:
@@ -693,10 +687,7 @@ def draw_map(axes: Axes, dataset: xr.Dataset, variable: str, x: str, y: str, lim
             artist.set_path_effects([patheffects.withStroke(linewidth=2.2, foreground="0.15")])
     for axis, which, name in ((axes.xaxis, "x", x), (axes.yaxis, "y", y)):
         style.fit_scale(axes, which, dataset[name])
-        if dataset[name].size <= 3:  # ticks at these alone
-            axis.set_ticks(dataset[name].values, formatting.plain(dataset[name].values.tolist()))
-            axis.set_minor_locator(ticker.NullLocator())
-        elif dataset[name].dtype.kind == "i" and not style.is_logarithmic(dataset[name]):
+        if dataset[name].dtype.kind == "i" and not style.is_logarithmic(dataset[name]):
             axis.set_major_locator(ticker.MaxNLocator(integer=True))
     axes.set(xlabel=style.explained_label(dataset[x], x), ylabel=style.explained_label(dataset[y], y))
 

@@ -98,7 +98,8 @@ class Reasons:
 
 
 class FailureCount:
-    """Counts the points of a run that have ended, and says when too many have failed.
+    """Counts the points of a run that have ended, with the ``reasons`` of those that failed in it, and says when too
+    many have.
 
     Without a limit that is when the first points all fail for the same reason, as where a package is missing.
     """
@@ -112,7 +113,7 @@ class FailureCount:
         # What the first points that were tried have in common with others, '' for one without a failure so far.
         self._first: dict[int, str] = {}
         self._begun: set[int] = set()
-        self._reasons = Reasons()
+        self.reasons = Reasons()
         self.ended = 0
 
     def __str__(self) -> str:
@@ -129,7 +130,7 @@ class FailureCount:
     @property
     def failed(self) -> int:
         """How many points have failed."""
-        return self._failed_before + self.failed_here
+        return self._failed_before + self.reasons.points
 
     @property
     def failed_in_words(self) -> str:
@@ -137,20 +138,10 @@ class FailureCount:
         return f"{self.failed:,} failed" if self.failed else ""
 
     @property
-    def failed_here(self) -> int:
-        """How many points have failed in this run."""
-        return self._reasons.points
-
-    @property
-    def reason(self) -> str:
-        """The first reason, in short; '' where no point has failed in this run."""
-        return harmless(next((short(message) for _, message in self._reasons.first.values()), ""))
-
-    @property
     def most_at_once(self) -> int | None:
         """How many blocks a task may have, so that a run that is to be ended has not done more; None is no limit."""
         if self._most is not None:
-            left = FIRST if self._most.number is None else self._most.number + 1 - self.failed_here
+            left = FIRST if self._most.number is None else self._most.number + 1 - self.reasons.points
             return max(1, min(FIRST, left))
         return FIRST - len(self._first) or None
 
@@ -167,10 +158,10 @@ class FailureCount:
             self._begun.discard(point.index)
             kind = ""
             if (failure := failed.get(point.index)) is not None:
-                known = len(self._reasons.first)
+                known = len(self.reasons.first)
                 place = describe(self._study, point.parameters)
-                kind = self._reasons.add(place, failure.message)
-                if known < len(self._reasons.first) <= NAMED:
+                kind = self.reasons.add(place, failure.message)
+                if known < len(self.reasons.first) <= NAMED:
                     new.append(f"failed at {place}: {short(failure.message)}")
             self._note(point.index, kind)
         return new
@@ -181,19 +172,19 @@ class FailureCount:
 
     def too_many(self) -> str:
         """Return why the run is to be ended, in words; '' where it goes on, or where nothing is left to do anyway."""
-        here, most, tried = self.failed_here, self._most, self.ended + len(self._begun)
+        here, most, tried = self.reasons.points, self._most, self.ended + len(self._begun)
         if self._before + self.ended >= self.points or not here:
             return ""
         if most is None:
             kinds = set(self._first.values())
             alike = len(self._first) == FIRST and "" not in kinds and len(kinds) == 1
-            return f"the first {FIRST} points all failed for the same reason: {self._reasons}" if alike else ""
+            return f"the first {FIRST} points all failed for the same reason: {self.reasons}" if alike else ""
         if most.percent is None:
             exceeded = here > (most.number or 0)
         else:
             exceeded = tried >= FIRST and 100.0 * here > most.percent * tried
         of_tried = f"{here:,} of the {counted(tried, 'point')} that were tried failed, more than {most}"
-        return f"{of_tried}: {self._reasons}" if exceeded else ""
+        return f"{of_tried}: {self.reasons}" if exceeded else ""
 
 
 def reasons_of(failures: Mapping[str, str]) -> Reasons:
@@ -461,13 +452,12 @@ class TerminalProgress:
         self._remove_bar()
         done = "nothing was begun"
         if self._begun is not None:
-            failed = f", {counted(self._count.failed_here, 'point')} failed" if self._count.failed_here else ""
-            done = f"kept in {store}: {self._counted(self._done, self._count.failed_here)} of this run{failed}"
+            failed = f", {counted(self._count.reasons.points, 'point')} failed" if self._count.reasons.points else ""
+            done = f"kept in {store}: {self._counted(self._done, self._count.reasons.points)} of this run{failed}"
         SENTENCES.error(f"{how_ended(signal)}; {done}; the same command goes on from there")
 
     def finish(self, failures: Mapping[str, str], store: object, commands: Sequence[str] = ()) -> None:
         """Say what the run took, why points failed (``failures`` by their place), and which ``commands`` come next."""
-        self._remove_bar()
         self._failures = len(failures)
         if self._begun is not None:
             further = f"; next: {', '.join(commands)}" if commands and not failures else ""
@@ -490,7 +480,7 @@ class TerminalProgress:
         """Return what there is to say at the end of a run that took ``elapsed`` seconds; nothing if it did nothing."""
         if not self._done.blocks:
             return []
-        failed = self._count.failed_here
+        failed = self._count.reasons.points
         realisations = "" if self._once else f" and {counted(self._done.realisations, 'realisation')}"
         took = f"{elapsed:.2g} s" if elapsed < 10.0 else in_words(elapsed)
         lines = [
@@ -528,10 +518,11 @@ class TerminalProgress:
 
     def _drawn(self) -> Table:
         """Return the bar and its line, with what failed in red and the first reason as far as there is room."""
-        words = self._count.failed_in_words
+        words, reasons = self._count.failed_in_words, self._count.reasons.first.values()
         line = Text(self._line(), no_wrap=True, overflow="ellipsis")
         line.highlight_words([words] if words else [], style="bold red")
-        line.append(f"; {self._count.reason}" if words and self._count.reason else "", style="red")
+        for _, message in list(reasons)[:1]:
+            line.append(harmless(f"; {short(message)}"), style="red")
         grid = Table.grid(padding=(0, 1))
         grid.add_row(ProgressBar(max(self._work, 1e-9), self._done.cost, width=24), line)
         return grid
