@@ -39,7 +39,7 @@ MISTAKES = {
     "positions along the scan with reversed sign": {"centroid_pos_al": (-1.0, 0.0)},
     "parallax factors with reversed sign": {"parallax_factor_al": (-1.0, 0.0)},
 }
-VALUE, ERROR = "centroid_pos_al", "centroid_pos_error_al"
+VALUE, ERROR, NOISE = "centroid_pos_al", "centroid_pos_error_al", "agis_source_excess_noise"
 
 Change = Mapping[str, tuple[float, float]]
 

@@ -24,7 +24,7 @@ from linksweep.core.frames import ARCSEC, DEGREE, MAS, Array, Flags, Indices, Li
 from linksweep.core.tie import astrometry as core, mistakes
 from linksweep.core.tie.forecast import RELEASES, releases_at
 from linksweep.core.tie.problem import Problem, Solution
-from linksweep.core.tie.transits import COLOUR, ERROR, MODELS, PATH, Paths, Transits, joint, misfit
+from linksweep.core.tie.transits import COLOUR, ERROR, MODELS, NOISE, PATH, VALUE, Paths, Transits, joint, misfit
 from linksweep.core.unknowns import PARAMETERS
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.formatting import first_of
@@ -627,13 +627,16 @@ def hipparcos_correlations(elements: Array) -> Array:
 # Seconds that the Gaia archive gets to answer while gaiasupdate is imported.
 NEWS_S = 1.0
 
-# Columns of the archive with their units and those in which they are used; DPAC's are called obsTimeTcb and so on.
-TIME, ANGLE, LENGTH, NUMBER = ("ns", "ns"), ("deg", "rad"), ("mas", "rad"), ("", "")
+# Columns of the archive with their units, those in which they are used, and the smallest and largest possible numbers
+# in the former; DPAC's are called obsTimeTcb and so on. Light takes 520 s from the Earth to the barycentre at most.
+TIME, ANGLE, LENGTH, NUMBER, ARC = ("ns", "ns"), ("deg", "rad"), ("mas", "rad"), ("", ""), 3.6e6
 NEEDED = {
-    **{"obs_time_tcb": TIME, "obs_time_bary_corr": TIME, "scan_pos_angle": ANGLE, "parallax_factor_al": NUMBER},
-    **{"centroid_pos_al": LENGTH, "centroid_pos_error_al": LENGTH, "used_by_agis_al": NUMBER},
+    **{"obs_time_tcb": (*TIME, -np.inf, np.inf), "obs_time_bary_corr": (*TIME, -6e11, 6e11)},
+    **{"scan_pos_angle": (*ANGLE, -360.0, 360.0), "parallax_factor_al": (*NUMBER, -1.1, 1.1)},
+    **{VALUE: (*LENGTH, -ARC, ARC), ERROR: (*LENGTH, 1e-6, ARC), "used_by_agis_al": (*NUMBER, -np.inf, np.inf)},
 }
-OPTIONAL = {"ra0": ANGLE, "dec0": ANGLE, "colour_factor_al": LENGTH, "agis_source_excess_noise": LENGTH}
+PER_STAR = {"ra0": (*ANGLE, -180.0, 360.0), "dec0": (*ANGLE, -90.0, 90.0), NOISE: (*LENGTH, 0.0, ARC)}
+OPTIONAL = PER_STAR | {"colour_factor_al": (*LENGTH, -ARC, ARC)}
 # Of the archive's colour_factor_al to nm. Source: gaiasupdate 0.1.2.
 COLOUR_FACTOR = -1e3
 
@@ -648,8 +651,6 @@ TIMES = {
     **{f"ns since {year}.0": (float(year), 3.15576e16) for year in (2000, 1970)},
 }
 OBSERVED = (2014.0, 2025.5)
-# The largest and smallest possible numbers.
-LIMITS = {"scan_pos_angle": (-2.0 * np.pi, 2.0 * np.pi), "parallax_factor_al": (-1.1, 1.1), ERROR: (1e-6 * MAS, np.inf)}
 
 THIELE_INNES = tuple(f"{letter}_thiele_innes" for letter in "abfg")
 CAMPBELL = ("nodeangle", "inclination", "arg_periastron")
@@ -668,10 +669,11 @@ class Epochs(NamedTuple):
     notes: Sequence[str]
 
 
-def read_observations(path: Path) -> Any:
-    """Return the observations in a file that AGIS used, a pandas DataFrame with a row for each passage of a CCD.
+def read_observations(path: Path) -> tuple[Any, list[str]]:
+    """Return the observations in a file that AGIS used, a pandas DataFrame with a row for each passage of a CCD, and
+    notes on those in which a number is missing, which are left out.
 
-    Raises SweepError that names columns, units and numbers that are wrong.
+    Raises SweepError that names columns, units and numbers that are wrong, and their rows.
     """
     waiting = socket.getdefaulttimeout()
     try:
@@ -689,33 +691,41 @@ def read_observations(path: Path) -> Any:
     if missing := [name for name in ("source_id", *NEEDED) if name not in table.colnames]:
         raise SweepError(f"no column {', '.join(missing)}, which epoch astrometry of Gaia has", str(path))
     units = {name: unit for name, unit in (NEEDED | OPTIONAL).items() if name in table.colnames}
-    cells = {"transit_id": np.arange(len(table)), "colour_factor_al": 0.0, "agis_source_excess_noise": 0.0}
+    cells = {"transit_id": np.arange(len(table)), "colour_factor_al": 0.0, NOISE: 0.0}
+    read = Columns(table, str(path))
     try:
         frame = pd.DataFrame(cells | {name: _cells(table[name]) for name in units})
         for name in {"source_id", "transit_id"} & set(table.colnames):
-            frame[name] = Columns(table).text(name)
+            frame[name] = read.text(name)
         several = [name for name in units if frame[name].dtype == object]
-        frame = frame.explode(several, ignore_index=True).astype(dict.fromkeys(units, np.float64))
-        for name, (unit, used) in units.items():
+        frame = frame.explode(several).astype(dict.fromkeys(units, np.float64))
+        for name, (unit, used, *_) in units.items():
             frame[name] *= Unit(table[name].unit or unit).to(used)
     except (ValueError, TypeError) as error:
         raise SweepError(f"cannot be read as epoch astrometry: {error}", str(path)) from error
     frame["used_by_agis_al"] = frame["used_by_agis_al"].isin([1.0, ord("T")])  # the letter in FITS
-    frame = frame.epochastrometryarchive.filter_on_used_by_agis().dropna(subset=list(NEEDED), ignore_index=True)
-    problems = [
-        f"{name} from {frame[name].min():.4g} to {frame[name].max():.4g} {units[name][1]}: not {low:.4g} to {most:.4g}"
-        for name, (low, most) in LIMITS.items()
-        if not frame[name].between(low, most).all()
-    ]
+    frame, known = frame[frame["used_by_agis_al"]], [name for name in units if name not in ("ra0", "dec0")]
+
+    def rows(flags: Any) -> Flags:
+        return np.isin(np.arange(len(table)), frame.index[flags])
+
+    for name, (unit, used, low, most) in units.items():
+        by = Unit(unit).to(used)
+        wrong = frame[name].notna() & ~frame[name].between(low * by, most * by)
+        read.check(rows(wrong), f"{name} outside {low:g}..{most:g} {unit}".rstrip())
+    for name in known:
+        if number := (gone := frame[name].isna()).sum():
+            said = f"{path.name}: {number} observations have no {name} and are not used, in row"
+            read.notes.append(f"{said} {archives.rows_listed(rows(gone))}")
+    frame = frame.dropna(subset=known, ignore_index=True)
     low, high = frame["obs_time_tcb"].min(), frame["obs_time_tcb"].max()
     likely = [n for n, (zero, by) in TIMES.items() if OBSERVED[0] < zero + low / by <= zero + high / by < OBSERVED[1]]
     if len(frame) and next(iter(TIMES)) not in likely:
         said = f"obs_time_tcb of {low:.8g} to {high:.8g} is not {next(iter(TIMES))}, when Gaia observed"
-        problems.append(f"{said}; the likely cause: {', or '.join(likely)}" if likely else said)
-    if problems:
-        raise SweepError(problems, str(path))
+        read.problems.append(f"{said}; the likely cause: {', or '.join(likely)}" if likely else said)
+    read.finish()
     frame.epochastrometryarchive.set_relative_time()
-    return frame.assign(file=str(path), colour_factor_al=frame["colour_factor_al"] * COLOUR_FACTOR)
+    return frame.assign(file=str(path), colour_factor_al=frame["colour_factor_al"] * COLOUR_FACTOR), read.notes
 
 
 def _cells(column: Any) -> Any:
@@ -737,7 +747,8 @@ def with_observations(
     SweepError for what is wrong in the files, sources that are not in the table, and paths that are not determined.
     """
     handlers = logging.root.handlers[:]
-    frame = pd.concat([read_observations(Path(file)) for file in files], ignore_index=True)
+    frames, remarks = zip(*(read_observations(Path(file)) for file in files), strict=True)
+    frame, notes = pd.concat(frames, ignore_index=True), [note for one in remarks for note in one]
     from gaiasupdate.constants import DR4_REFERENCE_EPOCH
     from gaiasupdate.solver import estimate_excess_noise
 
@@ -751,22 +762,27 @@ def with_observations(
     strangers = f"no source {first_of(unknown, 5)}, of which there are observations"
     frame = frame.dropna(subset="place").sort_values(["place", "obs_time_tcb"], kind="stable", ignore_index=True)
     if frame.empty:
-        raise SweepError(strangers if unknown else f"no observation in {where} was used by AGIS", left.path)
+        raise SweepError(
+            strangers if unknown else f"no observation in {where} was used by AGIS and is whole", left.path
+        )
     rows, star = np.unique(frame["place"].to_numpy(dtype=np.int64), return_inverse=True)
     frame["transit_id"] = frame.groupby(["place", "file", "transit_id"], sort=False).ngroup()
-    first, stars, names = frame.groupby(star).first(), left.astrometry.taken(rows), columns[0]
-    without = first_of(np.delete(names, rows).tolist(), 5)
-    notes = [strangers] * bool(unknown) + [f"no observations of {without}, which keep their rows"] * bool(without)
-    origin = stars.values[:2]
-    if {"ra0", "dec0"} <= set(frame) and first[["ra0", "dec0"]].notna().all(axis=None):
-        origin = first[["ra0", "dec0"]].to_numpy().T
-    elif np.any(other := stars.epoch != epoch):
+    stars, names = left.astrometry.taken(rows), columns[0]
+    others = first_of(np.delete(names, rows).tolist(), 5)
+    notes += [strangers] * bool(unknown) + [f"no observations of {others}, which keep their rows"] * bool(others)
+    of_star = frame.reindex(columns=[*PER_STAR]).groupby(star)
+    changes = {name: names[rows][(of_star[name].nunique(dropna=False) > 1).to_numpy()] for name in PER_STAR}
+    if problems := [f"{name} changes within {first_of([*at], 5)}" for name, at in changes.items() if len(at)]:
+        raise SweepError(problems, where)
+    *origin, noise = of_star.first().to_numpy().T
+    blank = np.isnan(origin).any(axis=0)
+    if np.any(other := blank & (stars.epoch != epoch)):
         said = f"the observations are from positions at {epoch:g}, and the rows have those at {stars.epoch[other][0]:g}"
         raise SweepError(f"{said}: take the table of the same release, or files with ra0 and dec0", left.path)
+    origin = np.where(blank, stars.values[:2], origin)
     used = set(rows.tolist())
     model, orbit = _models({name: k for name, k in place.items() if k in used}, models, orbits, epoch)
     observed = {str(name): frame[name].to_numpy() for name in frame.select_dtypes("number")}
-    noise = first["agis_source_excess_noise"].to_numpy()
     transits = Transits(star, observed, model, orbit, noise, origin, epoch, names[rows], stars)
     try:
         paths = transits.paths()

@@ -246,6 +246,10 @@ def times(name, factor, add=0.0):
     return lambda sky: sky.scans.replace_column(name, sky.scans[name] * factor + add)
 
 
+def put(name, at, value):
+    return lambda sky: sky.scans[name].__setitem__(at, value)
+
+
 def angles_of_one_star(sky):
     names = sky.scans["source_id"]
     sky.scans["scan_pos_angle"] *= np.where(names == names[0], -1.0, 1.0)[:, None]
@@ -273,7 +277,12 @@ REFUSALS = {  # what changes tables, or options; and the words of an error
     "since 2000": (times("obs_time_tcb", 1.0, 10.0 * NS_PER_YEAR), f"{NO_TIMES}{CHI2}ns since 2000"),
     "a column": (lambda sky: sky.scans.remove_column("obs_time_bary_corr"), "no column obs_time_bary_corr"),
     "DR3": (of_dr3, "take the table of the same release"),
-    "large angles": (times("scan_pos_angle", 1.0, 620.0), "scan_pos_angle from .* rad: not"),
+    "large angles": (times("scan_pos_angle", 1.0, 620.0), r"scan_pos_angle outside -360\.\.360 deg in row 1, 2"),
+    "negative noise": (times("agis_source_excess_noise", 1.0, -0.5), "agis_source_excess_noise outside 0"),
+    "a late correction": (put("obs_time_bary_corr", 3, 1e15), r"obs_time_bary_corr outside -6e\+11\.\..* in row 4$"),
+    "an infinite centroid": (put("centroid_pos_al", (3, 1), np.inf), "centroid_pos_al outside .* in row 4$"),
+    "a row's origin": (put("ra0", 3, 10.0), f"ra0 changes within {10**17}$"),
+    "a row's noise": (put("agis_source_excess_noise", 3, 0.5), f"agis_source_excess_noise changes within {10**17}$"),
     "other stars": (times("source_id", 1, 5000 - 10**17), "no source 5000, 5007"),
     "nothing used": (times("used_by_agis_al", 0), "no observation in .* was used by AGIS"),
     "twice": (lambda sky: setattr(sky, "scans", vstack([sky.scans, sky.scans[:3]])), "observations are there twice"),
@@ -302,7 +311,13 @@ def test_stars_without_observations_and_strangers_are_named(tmp_path):
     sky = drawn(3, ["5"] * 6)
     star = sky.scans["source_id"].copy()
     sky.scans["source_id"] = np.where(star == star[0], 77, star)
-    link = linked(tmp_path, sky, star_models={"all": "7", str(star[-1]): "5"})
+    sky.scans["ra0"][star == star[-1]] = np.nan
+    sky.satellite["ra"][1:-1] += 5.0 / 3.6e6  # of rows that nothing is relative to
+    sky.scans["parallax_factor_al"][-2:] = np.nan
+    link = linked(tmp_path, sky, star_models={"all": "7", str(star[-1]): "5"}, accept_misfit=True)
+    assert np.all(np.abs(link.estimate.values[:3] - EPSILON / MAS) < 0.5)
+    lost = f"{np.sum(sky.scans['used_by_agis_al'][-2:])} observations have no parallax_factor_al .* row 143, 144"
+    assert re.search(lost, " ".join(link.attrs["notes"]))
     no_source = "no source 77, of which there are observations"
     no_observations = "no observations of 100000000000000000, which keep their rows"
     assert all(words in " ".join(link.attrs["notes"]) for words in (no_source, no_observations))
