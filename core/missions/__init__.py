@@ -73,7 +73,7 @@ class FunctionCurve:
         if returned.shape != flat.shape or returned.dtype.kind not in "fiu":
             what = f"{returned.dtype} of shape {returned.shape}"
             raise CurveError(f"{name} returns {what}, not numbers of shape {flat.shape}")
-        values = returned.astype(np.float64).filled(np.nan)
+        values = np.ma.filled(returned.astype(np.float64), np.nan)
         if (bad := ~(np.isfinite(values) & (values > 0))).any():
             value, at = values[bad][0], flat[bad][0]
             raise CurveError(f"{name} returns {value:g} at V = {at:g} mag: must be positive and finite")

@@ -73,15 +73,6 @@ REFUSED = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("solved", [linksweep.tie, linksweep.forecast])
-@pytest.mark.parametrize("place", [0, 1])
-def test_a_table_is_a_file(solved, place):
-    tables = ["psrpi", "psrpi"]
-    tables[place] = Table({"ra": [1.0]})
-    with pytest.raises(SweepError, match="write this Table to a file"):
-        solved(*tables)
-
-
 @pytest.mark.parametrize(("words", "own", "rows", "options"), REFUSED, ids=[one[0] for one in REFUSED])
 def test_what_is_wrong_is_named(tmp_path, words, own, rows, options):
     paths = [tmp_path / "own.fits", tmp_path / "rows.ecsv"]
