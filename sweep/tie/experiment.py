@@ -206,7 +206,7 @@ def design_of(point: Point) -> Design:
 @lru_cache(maxsize=16)
 def _design(values: tuple[tuple[str, Any], ...]) -> Design:
     point = dict(values)
-    clip = parse_clip(point["clip"])
+    clip, asked = parse_clip(point["clip"]), Options(clip=point["clip"], errors="scaled,formal,jackknife")
     whole = _within(_set_up(tuple((name, point[name]) for name in DECIDING)), point)
     problem = whole.problem
     if not point["correlations"]:
@@ -214,7 +214,7 @@ def _design(values: tuple[tuple[str, Any], ...]) -> Design:
         problem = replace(problem, satellite=ours, rows=rows)
         whole = replace(whole, problem=problem)
     matched = np.unique(problem.source)
-    solved = solve_link(whole.only(matched), str(clip), ("scaled", "formal", "jackknife")) if len(matched) else None
+    solved = solve_link(whole.only(matched), asked) if len(matched) else None
     notes = [] if solved is None else [*solved.notes]
     problem, _, further = released(problem, point["release"], point["from_release"], point["epoch"] is None)
     notes += further

@@ -36,7 +36,6 @@ from linksweep.sweep.tie.tables import QUANTITIES, UNITS, astrometric_table, bui
 EXPERIMENT = "linksweep.sweep.tie.experiment:tie"
 
 ERRORS = ("formal", "scaled", "jackknife", "cells", "bootstrap", "sandwich")
-RESAMPLES = 1000
 
 # How often noise is estimated from what a clip keeps with it.
 ROUNDS = 20
@@ -87,33 +86,26 @@ class Link:
         return self.clipped.solution
 
 
-def solve_link(
-    setup: Setup,
-    clip: str = "none",
-    errors: Sequence[str] = ("scaled",),
-    resamples: int = RESAMPLES,
-    seed: int = 0,
-    sources: solving.Sources | None = None,
-    per_source: bool = True,
-) -> Link:
-    """Return the solution of a setup; raises SweepError if there is none.
+def solve_link(setup: Setup, asked: Options, sources: solving.Sources | None = None, per_source: bool = True) -> Link:
+    """Return the solution of a setup with the clip and the errors of the options; raises SweepError if there is none.
 
     ``sources`` are those of a table that is read by row groups; without ``per_source`` it is not read again for values
     of single sources.
     """
+    errors = listed(asked.errors)
     if not errors or any(name not in ERRORS for name in errors):
         raise SweepError(f"errors {', '.join(errors)!r}: must be among {', '.join(ERRORS)}")
     unknowns, effect, noise = setup.problem.unknowns, None, None
     try:
         with threadpool_limits(1):  # bitwise the same on any number of cores; products of blocks are small
-            how = solving.parse_clip(clip)
+            how = solving.parse_clip(asked.clip)
             if sources is None:
                 sources = solving.sources_of(setup.problem)
             result = solving.clipped(how, sources)
             doubt, further = _misfit(setup, sources, result), list[str]()
             if any(ESTIMATE in sizes.values() for sizes in setup.jitter.values()):
                 setup, sources, result, noise, further = _with_noise(setup, how)
-            covariances, samples, notes = _covariances(sources, result, errors, resamples, seed)
+            covariances, samples, notes = _covariances(sources, result, asked)
             if noise is not None:
                 covariances = {"estimated": noise.covariance(result.solution)} | covariances
                 samples = {"estimated": np.inf} | samples
@@ -133,8 +125,8 @@ def solve_link(
         large = np.flatnonzero(part > solving.LARGE_SHARE)
         if len(large):
             large = large[np.argsort(-part[large])]
-            listed = ", ".join(f"{setup.names[places[k]]} ({100.0 * part[k]:.0f} %)" for k in large)
-            notes.append(f"more than {100 * solving.LARGE_SHARE:.0f} % of the weight in {block}: {listed}")
+            named = ", ".join(f"{setup.names[places[k]]} ({100.0 * part[k]:.0f} %)" for k in large)
+            notes.append(f"more than {100 * solving.LARGE_SHARE:.0f} % of the weight in {block}: {named}")
     odd = [note for note in setup.notes if mistakes.WHEN_NONE in note] if doubt.text else []
     doubt = doubt._replace(text=" ".join([*odd, doubt.text]))
     notes = [*filter(None, [doubt.text]), *(n for n in setup.notes if n not in odd), *further, *result.notes, *notes]
@@ -213,7 +205,7 @@ def _rows_there_are(setup: Setup) -> str:
 
 
 def _covariances(
-    sources: solving.Sources, result: solving.Clipped, errors: Sequence[str], resamples: int, seed: int
+    sources: solving.Sources, result: solving.Clipped, asked: Options
 ) -> tuple[dict[str, Array], dict[str, float], list[str]]:
     """Return the covariance of each kind of error, the main one first, the number of sources or cells whose scatter it
     is (inf for none), and notes.
@@ -224,7 +216,7 @@ def _covariances(
         sums, factors = sums.taken(used), result.factors[used]
         sums = sums if np.all(factors == 1.0) else sums.scaled(factors)
     covariances, samples = {}, {}
-    for kind in dict.fromkeys([*errors, "formal", "scaled"]):
+    for kind in dict.fromkeys([*listed(asked.errors), "formal", "scaled"]):
         groups = sums if kind != "cells" and sums is not None else sources.cell_sums(result.factors)
         if sums is None and kind in ("jackknife", "bootstrap", "sandwich"):
             notes.append(f"{kind} errors are those of {len(groups)} cells of the sky: there are too many sources")
@@ -235,9 +227,9 @@ def _covariances(
         elif kind == "sandwich":
             one = solving.sandwich(groups, solved)
         else:
-            one, drawn = solving.bootstrap(groups, resamples, np.random.default_rng(seed))
+            one, drawn = solving.bootstrap(groups, asked.resamples, np.random.default_rng(asked.seed))
             if failed := np.count_nonzero(np.isnan(drawn[:, 0])):
-                notes.append(f"{failed} of {resamples} resamples did not determine the unknowns")
+                notes.append(f"{failed} of {asked.resamples} resamples did not determine the unknowns")
         if not np.all(np.isfinite(one)):
             why = "there are no degrees of freedom" if kind == "scaled" else "some unknowns depend on a single source"
             notes.append(f"there are no {kind} errors: {why}")
@@ -338,7 +330,6 @@ def tie(
         ('reference-satellite', ['mas', 'mas', 'mas'])
     """
     asked = Options.named(TIE, {"unknowns": unknowns, **options})
-    how = asked.clip, listed(asked.errors), asked.resamples, asked.seed
     cluster = None if cluster is None else Path(cluster)
     on = resources or Resources(workers, None, scheduler, cluster=cluster, limits=limits)
     if in_row_groups(satellite, reference, asked):
@@ -346,9 +337,9 @@ def tie(
             raise SweepError("jitter estimate needs a table that is solved as a whole; say how large it is, motion=0.1")
         with mapped(EXPERIMENT, on, logging.getLogger("linksweep").warning) as run:
             setup, sources = set_up_row_groups(satellite, asked, run, per_source)
-            link = solve_link(setup, *how, sources, per_source)
+            link = solve_link(setup, asked, sources, per_source)
     elif on.none_requested:
-        link = solve_link(set_up(satellite, reference, asked), *how)
+        link = solve_link(set_up(satellite, reference, asked), asked)
     else:
         large = f"Parquet tables of {FROM_ROWS:,} quasars or more without a reference, missions or where"
         raise SweepError(f"workers are for {large}; others are solved in this process: leave --workers and so on out")
