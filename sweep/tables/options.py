@@ -134,6 +134,12 @@ def number(text: str) -> Any:
     return text
 
 
+def numbers(text: str, mark: str = ",") -> list[float]:
+    """Return the numbers in a text, divided by a mark; none if a part of it is no number."""
+    parts = [number(part) for part in text.split(mark)]
+    return [] if any(isinstance(part, str) for part in parts) else list(map(float, parts))
+
+
 def _pair(name: str, metavar: str, place: int, part: Any) -> tuple[str, str]:
     """Return the key and the value of one part of a mapping, as the command writes it or by its number."""
     if isinstance(part, tuple):

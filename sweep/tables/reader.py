@@ -88,10 +88,8 @@ def read_table(path: Path, texts: Collection[str] = ()) -> Any:
         if not path.exists():
             raise SweepError("no such file", str(path)) from error
         raise SweepError(f"cannot be read: {error.strerror or error}", str(path)) from error
-    except SweepError as error:
-        raise SweepError(error.problems, str(path)) from error
-    except ValueError as error:  # of delimited text
-        raise SweepError(str(error), str(path)) from error
+    except (SweepError, ValueError) as error:  # the latter of delimited text
+        raise SweepError(getattr(error, "problems", str(error)), str(path)) from error
 
 
 @contextmanager

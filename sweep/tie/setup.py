@@ -25,7 +25,7 @@ from linksweep.sweep.executing.executor import Map
 from linksweep.sweep.formatting import first_of, split_assignment
 from linksweep.sweep.tables import reader
 from linksweep.sweep.tables.columns import conditions
-from linksweep.sweep.tables.options import by_table, number, parameter, refused
+from linksweep.sweep.tables.options import by_table, number, numbers, parameter, refused
 from linksweep.sweep.tie import tables as files
 from linksweep.sweep.tie.options import SIDES, SIGNS, TABLE, Options, listed
 from linksweep.sweep.tie.tables import SOURCE_NAMES, AstrometricTable, TableOptions, astrometric_table, read_table
@@ -102,10 +102,7 @@ def parse_jitter(text: str, missions: Collection[str]) -> dict[str, dict[str, An
     jitter: dict[str, Any] = {}
     for item in filter(None, map(str.strip, text.split(","))):
         kind, size = (ALL, item) if item == ESTIMATE else split_assignment(item)
-        try:
-            sizes = tuple(float(part) for part in size.split(":")) if size != ESTIMATE else (0.0, 0.0)
-        except ValueError:
-            sizes = ()
+        sizes = numbers(size, ":") if size != ESTIMATE else [0.0, 0.0]
         if not (kind and 1 <= len(sizes) <= 2):
             raise SweepError(f"jitter {item!r}: say --jitter estimate, or KIND=MAS[:MAS_YR] in mas and mas/yr")
         # one number is the jitter of motions where a kind of rows has nothing else
@@ -123,13 +120,9 @@ def parse_bins(text: str) -> tuple[str, list[float]]:
     if not text:
         return "", []
     column, edges = split_assignment(text)
-    try:
-        numbers = [float(part) for part in edges.split(",")]
-    except ValueError:
-        numbers = []
-    if not (column and numbers):
+    if not (column and numbers(edges)):
         raise SweepError(f"bins {text!r}: must be written COLUMN=EDGE,EDGE and so on")
-    return column, numbers
+    return column, numbers(edges)
 
 
 # ---- the problem
@@ -238,8 +231,8 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
         unknowns = unknowns_for(options, problem, notes)
         problem = replace(problem, unknowns=unknowns, known=known_unknowns(options, stars))
     if epochs is not None:
-        number = {row: k for k, row in enumerate(sources.tolist())}
-        epochs = epochs._replace(rows=np.array([number.get(row, -1) for row in epochs.rows]))
+        place = {row: k for k, row in enumerate(sources.tolist())}
+        epochs = epochs._replace(rows=np.array([place.get(row, -1) for row in epochs.rows]))
     return Setup(tables, matches[0], problem, names, tuple(dict.fromkeys(notes)), epochs, jitter)
 
 
@@ -400,11 +393,8 @@ def _by_position(satellite: AstrometricTable, reference: AstrometricTable, radiu
     """Match each row to the nearest source, carried to the row's epoch with its proper motion; raises SweepError, with
     a ``hint``, if there is none.
     """
-    try:
-        radius = float(radius_text) if radius_text else DEFAULT_RADIUS_ARCSEC
-    except ValueError:
-        radius = np.nan
-    if not 0.0 < radius <= 3600.0:
+    radius = number(radius_text) if radius_text else DEFAULT_RADIUS_ARCSEC
+    if isinstance(radius, str) or not 0.0 < radius <= 3600.0:
         raise SweepError(f"match by position:{radius_text}: the radius must be above 0 and at most 3600 arcsec")
     sources, rows = satellite.astrometry, reference.astrometry
     if len(without := np.flatnonzero(~np.isfinite(rows.values[:2]).all(axis=0))):
@@ -518,13 +508,13 @@ def match_notes(satellite: AstrometricTable, table: AstrometricTable, matched: M
     ambiguous = np.flatnonzero(matched.second >= 0)
     both = zip(matched.place[ambiguous][:5], matched.second[ambiguous][:5], strict=True)
     pairs = ", ".join(" and ".join(_listed(satellite, np.array([k])) for k in pair) for pair in both)
-    for numbers, what in (
+    for places, what in (
         (ambiguous, f"several sources are within the radius ({pairs}); the nearest is taken"),
         (exact, "the same numbers as another row of the source; all are used"),
         (nearly, "nearly the numbers of another row of the source; one measurement that is there twice counts twice"),
     ):
-        if len(numbers):
-            notes.append(f"{named_rows(numbers)} of {name}: {what}")
+        if len(places):
+            notes.append(f"{named_rows(places)} of {name}: {what}")
     return notes
 
 
@@ -801,14 +791,14 @@ def set_up_row_groups(
     with refused():
         unknowns = _unknowns(replace(groups[np.argmax(moving)], epoch=epoch), np.concatenate(samples), said)
     problems = [replace(group, epoch=epoch, unknowns=unknowns).problem for group in groups]
-    numbers = np.arange(n + 1)  # one array for the sources and, from 1, for their names
+    row_numbers = np.arange(n + 1)  # one array for the sources and, from 1, for their names
     stars = Astrometry(values, np.broadcast_to(np.nan, (5, n)), np.broadcast_to(epoch, n))
-    problem = Problem(stars, zero_motion(n, options), numbers[:-1], unknowns, epoch, options.weights)
+    problem = Problem(stars, zero_motion(n, options), row_numbers[:-1], unknowns, epoch, options.weights)
     left = AstrometricTable(str(satellite), digest, stars, {}, options=table_options(options)[SIDES[0]])
     right = AstrometricTable(ZERO_MOTION, "", problem.rows, {})
-    matched = Match(numbers[:-1], EVERY_SOURCE, np.broadcast_to(-1, n))
+    matched = Match(row_numbers[:-1], EVERY_SOURCE, np.broadcast_to(-1, n))
     said.append(f"read in {len(groups)} row groups; sources are named by their row numbers")
-    whole = Setup(dict(zip(SIDES, (left, right), strict=True)), matched, problem, numbers[1:], tuple(said))
+    whole = Setup(dict(zip(SIDES, (left, right), strict=True)), matched, problem, row_numbers[1:], tuple(said))
     return whole, StreamedSources(unknowns.labels, problems, [group.first for group in groups], n, run)
 
 
