@@ -345,7 +345,9 @@ class _Group(click.Group):
     """
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        import_module(f"{__name__}.look")  # and the other module of commands, which it imports
+        for module in ("run", "look"):  # as the help lists them; the second only for commands that the first lacks
+            if cmd_name not in self.commands:
+                import_module(f"{__name__}.{module}")
         return super().get_command(ctx, cmd_name)
 
     def list_commands(self, ctx: click.Context) -> list[str]:
