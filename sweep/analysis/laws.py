@@ -141,15 +141,11 @@ class Lines:
 
         Raises SweepError where all are of another kind.
         """
-        numbers, refusals = dict[str, float](), []
+        numbers = dict[str, float]()
         for unit in dict.fromkeys(line.unit for line in self.lines):
-            try:
+            with suppress(SweepError):  # components of another kind are left out
                 numbers[unit] = limit.number_in(unit)
-            except SweepError as error:  # components of another kind are left out
-                refusals.append(error)
-        if not numbers:
-            raise refusals[0]
-        return numbers
+        return numbers or {self.lines[0].unit: limit.number_in(self.lines[0].unit)}
 
     def place(self, line: Line) -> dict[str, Any]:
         """Return the coordinates of a line by name, those of dimensions first."""

@@ -319,17 +319,12 @@ def require_axis(dataset: xr.Dataset, variable: str, over: str | None) -> str:
     varied = varied_parameters(dataset) if POINT in dataset[variable].dims else []
     if len(varied) == 1 and dataset[varied[0]].dtype.kind in "if":
         axes += varied
-    elif over in varied:
-        others = ", ".join(name for name in varied if name != over)
-        raise SweepError(f"the points differ in {others} too, so that {over} is no axis of {variable}")
     if over in numeric_axes(dataset, variable, "M"):
         raise SweepError(f"{over} has times, and a law or a condition is along numbers, such as days from the first")
     listed_axes = ", ".join(axes) or "none"
     if over is not None and over not in axes:
         raise SweepError(f"{shown(over)} is no axis with several numbers of {variable}; there are {listed_axes}")
-    if over is None and not axes:
-        raise SweepError(f"{variable} has no axis with several numbers")
-    if over is None and len({dataset[axis].dims[0] for axis in axes}) > 1:
+    if over is None and len({dataset[axis].dims[0] for axis in axes}) != 1:
         raise SweepError(f"name the axis with --over; {variable} has {listed_axes}")
     return over or next((axis for axis in axes if axis in dataset.dims), axes[0])
 

@@ -58,6 +58,6 @@ KINDS: Mapping[str, Mapping[str, Kind]] = {
         "ranking": Kind("link:ranking_figure", "The sources whose observation helps most"),
     },
 }
-"""Kinds of figures by the kind of result that they are drawn of; the first that is possible is the default."""
+"""Kinds of figures by the kind of result that they are drawn of; the first is the default, of a grid what suits it."""
 
 ALL_KINDS = list(dict.fromkeys(kind for kinds in KINDS.values() for kind in kinds))

@@ -85,13 +85,7 @@ def draw_figure(
         raise SweepError(f"there is no figure of a {result.kind}")
     if kind is not None and kind not in kinds:
         raise SweepError(f"no kind {shown(kind)} of a {result.kind}{suggest(kind, list(kinds))}")
-    problems = []
-    for name in [kind] if kind else kinds:  # the first that is possible; if none is, the first says what is missing
-        try:
-            return _titled(result, name)
-        except SweepError as problem:
-            problems.append(problem)
-    raise problems[0]
+    return _titled(result, kind or next(iter(kinds)))
 
 
 def all_figures(result: Result) -> dict[str, Figure]:
