@@ -38,7 +38,6 @@ MOST_ACROSS = 4  # panels side by side; more of them continue in further rows
 FEW_POINTS = 300  # more points than this are drawn small and without errors
 MOST_MARKERS = 40  # more points on a line than this have no markers
 FEWEST_STEPS = 3  # of an axis, which then has colours of a ramp
-MOST_VECTORS = 2000  # more points than this are drawn as one image
 WIDE_COLOURS = 20.0  # values that span more than this factor have logarithmic colours
 LARGEST = 1e307  # beyond it, the ends of an axis or what lies between them may be no floats
 FAR = 30.0  # series whose largest values differ by more than this factor need panels with axes of their own
@@ -245,7 +244,7 @@ def arrange(dataset: xr.Dataset, variable: str, along: Sequence[str], series: bo
 
     The dimension along which values differ most becomes columns, if there are several or values differ by more than
     `FAR`.  The others become colours, and one of them rows if there are three or more.  With ``series = False`` none
-    becomes colours.
+    becomes colours, and all share a scale.
     """
     array, used = dataset[variable], {dataset[axis].dims[0] for axis in along}
     left = [str(d) for d in array.dims if d not in used and array.sizes[d] > 1]
@@ -253,7 +252,7 @@ def arrange(dataset: xr.Dataset, variable: str, along: Sequence[str], series: bo
     if not series and len(left) > 2:
         raise _too_many(dataset, left)
     columns = left[0] if left else None
-    far = columns is not None and _separation(array, columns) > FAR and array.sizes[columns] <= len(style.COLOURS)
+    far = bool(series and left) and _separation(array, left[0]) > FAR and array.sizes[left[0]] <= len(style.COLOURS)
     rows = None
     if len(left) > (2 if series else 1):  # the one with the fewest numbers
         rows = min(left[1:], key=lambda d: (array[d].dtype.kind not in "if", array.sizes[d]))
@@ -287,18 +286,18 @@ def series_of(dataset: xr.Dataset, variable: str, *along: str) -> list[tuple[str
     return [(style.values_text(dataset, {d: quantity.listed(one, d, [])[0] for d in named}), one) for one in parts]
 
 
-def draw_panels(dataset: xr.Dataset, variables: list[str], layout: Layout, draw: Draw, alike: bool = False) -> Figure:
+def draw_panels(dataset: xr.Dataset, variables: list[str], layout: Layout, draw: Draw) -> Figure:
     """Return a figure of panels: columns and rows as the layout says, variables as columns if there are several.
 
     Panels that would be empty are left out.  Those whose values differ by orders of magnitude have axes and units of
-    their own, unless ``alike``.  If the figure is too narrow for the columns, they continue in further rows.
+    their own.  If the figure is too narrow for the columns, they continue in further rows.
     """
     columns, rows, far = layout
     if len(variables) > 1:
         if rows is not None:
             raise SweepError("several variables leave room for one dimension of panels: fix others by --at AXIS=VALUE")
         columns, rows = None, columns
-    panels = list(_panels(dataset, variables, columns, rows, layout.columns if far and not alike else None))
+    panels = list(_panels(dataset, variables, columns, rows, layout.columns if far else None))
     if len(panels) > MOST_PANELS:
         raise _too_many(dataset, [d for d in (columns, rows) if d is not None])
     wanted = len(panels) if rows is None else len(variables) * (dataset.sizes[columns] if columns else 1)
@@ -315,7 +314,6 @@ def draw_panels(dataset: xr.Dataset, variables: list[str], layout: Layout, draw:
         draw(axes, part, name)
         axes.set_label(name)  # for the caption
         width, height = style.panel_size(axes)
-        width -= style.BESIDE_INCHES / across if alike else 0.0  # of the colour bar
         axes.set_title(style.in_lines(title, width))
         # not label_outer: a neighbour may have a scale of its own, and that below may be missing
         has_y = number % across == 0 or panels[number - 1][-1] != shares
@@ -490,7 +488,7 @@ def _draw_series(
     y = parts["value"].values.astype(float)
     sigma = parts["error"].values if "error" in parts and (few or is_line) else None
     look: dict[str, Any] = {**mark, "linestyle": "none", "markersize": 3.5 if few else 2.0, "elinewidth": 0.8}
-    look |= {"zorder": 3, "rasterized": len(x) > MOST_VECTORS, "alpha": 1.0 if few else 0.4}
+    look |= {"zorder": 3, "alpha": 1.0 if few else 0.4}
     words = name or (style.COMPUTED if quantity.standard_error(one, variable) is None else style.SIMULATED)
     running = np.broadcast_to(one["status"].values == Status.RUNNING, y.shape)
     moved = [] if is_line else [axes.errorbar(x, y, yerr=sigma, label=words, **look)]
@@ -628,7 +626,7 @@ def _map_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) 
         raise SweepError(f"a map needs two axes that are crossed, of {wanted}; not {got}")
     layout, readable = arrange(dataset, variable, chosen, series=False), quantity.in_readable_units(dataset)
     draw = partial(draw_map, x=chosen[0], y=chosen[1], limits=colour_limits(readable[variable]))
-    figure = draw_panels(readable, variables, layout, draw, alike=True)
+    figure = draw_panels(readable, variables, layout, draw)
     mesh = figure.axes[0].collections[0]  # all panels share their colours
     style.add_bar(figure, mesh, readable[variable], style.quantity_label(readable, variable), ax=figure.axes)
     if words := _accuracy_in_words(dataset, variable):
@@ -758,7 +756,7 @@ def _pairs_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]
             axes.set_visible(False)
             continue
         x, y = (positions(axes, dataset, name, which) for name, which in ((across[column], "x"), (up[row], "y")))
-        drawn = axes.scatter(x[known], y[known], rasterized=len(values) > MOST_VECTORS, **dots)
+        drawn = axes.scatter(x[known], y[known], **dots)
         axes.set_xlabel(style.label(dataset[across[column]], across[column]) if row == len(up) - 1 else "")
         axes.set_ylabel(style.label(dataset[up[row]], up[row]) if column == 0 else "")
         axes.set_label(variable)  # for the caption
@@ -852,7 +850,7 @@ def _scatter_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[st
     both *= factor
     mean, covariance = both.mean(axis=1), np.cov(both)
     sigma = np.sqrt(np.diag(covariance))
-    dots: dict[str, Any] = {"color": style.COLOURS[0], "markeredgewidth": 0.0, "alpha": 0.35, "rasterized": True}
+    dots: dict[str, Any] = {"color": style.COLOURS[0], "markeredgewidth": 0.0, "alpha": 0.35}
     dots["markersize"] = float(np.clip(100.0 / np.sqrt(n), 2.0, 5.0))
     axes.plot(*both, ".", label=f"{n} estimates", **dots)
     for confidence, line in ((0.683, "solid"), (0.954, "dashed")):

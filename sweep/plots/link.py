@@ -89,7 +89,7 @@ def sky_figure(dataset: xr.Dataset) -> Figure:
         dataset = dataset.isel(object=np.argsort(-dataset["v_mag"].values.astype(float), kind="stable"))
         colours = {"c": dataset["v_mag"].values.astype(float), "cmap": "viridis"}
     ra, dec = (dataset[name].values.astype(float) for name in ("ra", "dec"))
-    look = colours | {"linewidths": 0.0, "zorder": 3, "rasterized": len(ra) > 2000}
+    look = colours | {"linewidths": 0.0, "zorder": 3}
     look["s"] = float(np.clip(4000.0 / max(len(ra), 1), 1.5, 18.0))
     points = axes.scatter(on_map(ra), dec * DEGREE, **look)
     if "v_mag" in dataset:
@@ -118,7 +118,7 @@ def galaxy_figure(dataset: xr.Dataset) -> Figure:
 
     drawn, entries = dataset.sizes["entry"], int(dataset.attrs["entries"])
     points: dict[str, Any] = {"linestyle": "none", "marker": ".", "markeredgewidth": 0.0, "color": "#b0b0b0"}
-    axes.plot(*places("entry_ra", "entry_dec"), **points, markersize=1.2, rasterized=True, zorder=1)
+    axes.plot(*places("entry_ra", "entry_dec"), **points, markersize=1.2, zorder=1)
     # a point of the map is too small to be seen in the legend
     share = f", 1 in {round(entries / drawn)} drawn" if drawn < entries else ""
     axes.plot([], [], **points, markersize=4.0, label=f"galaxy catalogues ({entries:,}{share})")
@@ -383,7 +383,7 @@ def jackknife_figure(dataset: xr.Dataset) -> Figure:
         raise SweepError("no jackknife scatter: no block of unknowns is a vector that more than one source determines")
     stretched = without.mean(axis=0) + np.sqrt(len(without) - 1.0) * (without - without.mean(axis=0))
     dots: dict[str, Any] = {"color": style.COLOURS[0], "markeredgewidth": 0.0, "alpha": 0.6}
-    dots |= {"markersize": float(np.clip(70.0 / np.sqrt(len(without)), 2.0, 9.0)), "rasterized": len(without) > 2000}
+    dots["markersize"] = float(np.clip(70.0 / np.sqrt(len(without)), 2.0, 9.0))
     figure, grid = style.new_figure(10.0, 3.4 * len(vectors) + 0.5, len(vectors), 3)
     pairs = [pair for block in vectors.values() for pair in combinations(block, 2)]
     for axes, pair in zip(grid, map(list, pairs), strict=True):

@@ -441,6 +441,7 @@ def number_text(value: float) -> str:
 
 SIMULATED, COMPUTED, PREDICTED, PUBLISHED = "simulated", "computed", "predicted", "published"  # simulated: with errors
 MOVED = "markers moved sideways, lines not"
+MOST_VECTORS = 2000  # more points than this are drawn as one image: in SVG each of them takes some 100 bytes
 AT_END = "_at its end: "  # how the labels of lines begin that are named at their ends and not in the legend
 
 
@@ -477,6 +478,11 @@ def complete(figure: Figure, title: str) -> None:
     """Write the title of a figure, in lines that fit it, and the legend if it has none yet, and give its panels the
     light grid and ticks that all pictures have, except for maps, whose colours it would cover.
     """
+    for artist in figure.findobj():
+        points = artist.get_xdata() if isinstance(artist, lines.Line2D) else ()
+        places = artist.get_offsets() if isinstance(artist, collections.PathCollection) else ()
+        if max(np.size(points), np.size(places) // 2) > MOST_VECTORS:
+            artist.set_rasterized(True)
     for axes in panels_of(figure):
         if axes.name == "rectilinear" and not any(isinstance(one, collections.QuadMesh) for one in axes.collections):
             axes.tick_params(direction="in", which="both", top=True, right=True)

@@ -27,7 +27,7 @@ import xarray as xr
 import yaml
 from bokeh.resources import Resources
 from jinja2 import Environment, PackageLoader, Template
-from matplotlib import collections, lines, patheffects, rcParams, text
+from matplotlib import collections, patheffects, rcParams, text
 from matplotlib.figure import Figure
 
 from linksweep.sweep import formatting
@@ -47,7 +47,6 @@ from linksweep.sweep.table_writer import Table
 # Pictures are made for paper.  Those of one panel, at most so many inches wide, are scaled with letters of the same
 # size, to be read on a phone; others are as wide as the page, and drawn once more, so many mm wide, for a phone.
 ONE_PANEL, SHRINK, PAGE, NARROW = 6.4, 0.8, 10.3, 90.0
-MOST_MARKS = 2000  # more points than this are drawn as one image: in SVG each of them takes some 100 bytes
 
 # The name of the figure of single estimates, which is also its caption.
 SAMPLES = "kept samples of two components; the ellipses hold 68 and 95 % of a normal distribution"
@@ -166,10 +165,6 @@ def _varies(array: xr.DataArray) -> bool:
 def _svg(figure: Figure) -> str:
     """Return the ``svg`` element of a figure; nothing in it affects the rest of the page."""
     for artist in figure.findobj():
-        points = artist.get_xdata() if isinstance(artist, lines.Line2D) else ()
-        places = artist.get_offsets() if isinstance(artist, collections.PathCollection) else ()
-        if np.size(points) > MOST_MARKS or np.size(places) > 2 * MOST_MARKS:
-            artist.set_rasterized(True)
         # the sign of a square root fits its bar in matplotlib's fonts only; a text with any effect is saved as paths
         if isinstance(artist, text.Text) and r"\sqrt" in artist.get_text():
             artist.set_path_effects([*artist.get_path_effects(), patheffects.Normal()])
