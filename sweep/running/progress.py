@@ -8,7 +8,7 @@ import re
 import sys
 import time
 from array import array
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Any, Protocol, TextIO
@@ -250,7 +250,7 @@ MUCH_SLOWER, WORTH_SAYING_S = 3.0, 1.0
 
 class Eta:
     """Estimates the time left, with all times in seconds of one clock: the seconds that the work which is left takes if
-    a unit of cost takes as long as so far, divided by how much was done at once.
+    a unit of cost takes as long as so far, divided by how much was done at once in the last half of the run.
 
     There are at most ``workers`` workers if that is known.  A first call in a process may have imported modules: it
     tells nothing of what is left.
@@ -267,8 +267,8 @@ class Eta:
     def __init__(self, workers: int | None = None) -> None:
         """Know nothing yet."""
         self._workers = float("inf") if workers is None else max(1, workers)
-        self._tasks = 0
-        self._cost = self._busy = self._begun = self._last = 0.0
+        self._cost = self._busy = self._longest = self._begun = self._since = 0.0
+        self._recent: deque[tuple[float, float]] = deque()  # when tasks ended, and their seconds
 
     def take(self, now: float, cost: float, seconds: float, cold: float = 0.0, rows: int = 1) -> None:
         """Count a task's result that came ``now`` after ``seconds`` on its worker; ``cold`` of them for the first of
@@ -277,23 +277,28 @@ class Eta:
         if not (usual := 1.0 - (1.0 / rows if cold else 0.0)):
             return
         seconds = max(seconds - cold, 1e-9)
-        self._begun = self._begun if self._tasks else now - seconds
-        self._tasks += 1
+        if not self._recent:
+            self._begun = self._since = now - seconds
         self._cost += usual * cost
         self._busy += seconds
-        self._last = now
+        self._longest = max(self._longest, seconds)
+        self._recent.append((now, seconds))
+        # Workers come and go, so what is long past does not count; but tasks that end together must not look like more.
+        while self._recent[0][0] < now - max(0.5 * (now - self._begun), 3.0 * self._longest):
+            self._since, _ = self._recent.popleft()
 
     def left(self, now: float, cost: float) -> float | None:
         """Return the seconds left for work of a cost, never negative; None while nothing is known but the time of first
         calls.
         """
-        if not self._tasks:
+        if not self._recent:
             return None
-        elapsed = max(self._last - self._begun, 1e-9)
-        half = 0.5 * min(self._busy / self._tasks, elapsed)  # of a task, which all others are at on average
-        at_once = min((self._busy - half) / (elapsed - half), self._workers)
+        last, busy = self._recent[-1][0], sum(seconds for _, seconds in self._recent)
+        elapsed = max(last - self._since, 1e-9)
+        half = 0.5 * min(busy / len(self._recent), elapsed)  # of a task, which all others are at on average
+        at_once = min((busy - half) / (elapsed - half), self._workers)
         needed = max(cost, 0.0) * self._busy / max(self._cost, 1e-9) / max(at_once, 1e-9)
-        return max(needed - max(now - self._last, 0.0), 0.5 * needed)
+        return max(needed - max(now - last, 0.0), 0.5 * needed)
 
 
 @dataclass(frozen=True)
