@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
+from rich.console import Console
 
 from linksweep.sweep.analysis.answer import answer_in_short, completeness
 from linksweep.sweep.contract import Experiment, SweepError, shown
@@ -399,7 +400,7 @@ def _watching(study: Study, progress: watching.Progress | None) -> AbstractConte
     """Return the object that is notified of a run's progress: that which is passed, or a bar where somebody sees it."""
     if progress is not None:
         return nullcontext(progress)
-    if watching.in_notebook():
+    if Console().is_jupyter:
         return watching.NotebookProgress(study, bar=False)
     if sys.stderr is not None and sys.stderr.isatty():
         return watching.TerminalProgress(study)

@@ -553,13 +553,6 @@ class Lines(logging.Handler):
                 self.handleError(record)
 
 
-def in_notebook() -> bool:
-    """Return whether this process is the kernel of a notebook."""
-    ipython = sys.modules.get("IPython")
-    shell = None if ipython is None else ipython.get_ipython()
-    return shell is not None and hasattr(shell, "kernel")
-
-
 class NotebookProgress(TerminalProgress):
     """Shows how far a run is in a line below the cell that runs; of what is told otherwise, only warnings."""
 
