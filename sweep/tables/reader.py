@@ -1,10 +1,11 @@
-"""Reads tables of every format, each known by its content: see `FORMATS`."""
+"""Reads tables of every format, each known by its content: see `FORMATS`; and writes them."""
 
 import bz2
 import csv
 import fnmatch
 import gzip
 import io
+import json
 import lzma
 import re
 import warnings
@@ -504,4 +505,36 @@ def _from_arrow(arrow: Any, columns: Sequence[str] | None = None) -> Any:
     table = from_frame(arrow.to_pandas(types_mapper=pd.ArrowDtype))
     for field in arrow.schema:
         table[field.name].unit = (field.metadata or {}).get(b"unit", b"").decode() or None
+    table.meta |= json.loads((arrow.schema.metadata or {}).get(b"linksweep", b"{}"))
     return table
+
+
+# ---- tables in files: by astropy, but for what is missing
+
+
+def write_table(table: Any, path: Path) -> None:
+    """Write an astropy Table as the suffix says; what is masked is null in Parquet, where astropy has columns of masks.
+
+    Raises ValueError or TypeError for what the format cannot hold.
+    """
+    has_gaps = table.has_masked_values
+    truths = [name for name, column in table.columns.items() if np.ma.is_masked(column) and column.dtype.kind == "b"]
+    if truths and path.suffix == ".fits":
+        raise ValueError(f"no truth value is missing in FITS, and some of {', '.join(truths)} are")
+    if path.suffix != ".parquet" or not has_gaps:
+        (table if has_gaps else table.filled()).write(path)
+        return
+    import pyarrow
+    import pyarrow.parquet
+
+    fields, arrays = [], []
+    for name, column in table.columns.items():
+        values = np.ma.asarray(column)
+        plain = values.dtype.kind in "fiub"
+        kind = pyarrow.from_numpy_dtype(values.dtype.newbyteorder("=")) if plain else pyarrow.string()
+        for _ in values.shape[1:]:
+            kind = pyarrow.list_(kind)
+        fields.append(pyarrow.field(name, kind, metadata={"unit": str(column.unit or "")}))
+        arrays.append(pyarrow.array(values.tolist(), kind))
+    schema = pyarrow.schema(fields, {"linksweep": json.dumps(table.meta, default=str)})
+    pyarrow.parquet.write_table(pyarrow.table(arrays, schema=schema), path)

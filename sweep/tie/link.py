@@ -5,6 +5,7 @@ further observations would do to it, and which sources to observe; `apply`: a ta
 import logging
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from astropy.units import Unit
 from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
 
-from linksweep.core.frames import DEGREE, MAS, Array, LinkError, position, triad
+from linksweep.core.frames import DEGREE, MAS, POLE_LIMIT, Array, LinkError, position, triad
 from linksweep.core.tie import forecast as planning, mistakes, problem as solving
 from linksweep.core.tie.astrometry import ALL_PAIRS, Astrometry, kinds, named_rows
 from linksweep.core.tie.noise import ESTIMATE, Noise, estimated, noises
@@ -26,7 +27,7 @@ from linksweep.sweep.executing.pools import NO_LIMITS, Limits, Resources
 from linksweep.sweep.result import require_free, stored_table, write_at_once
 from linksweep.sweep.tables.columns import CORRELATIONS, Columns, unit_of
 from linksweep.sweep.tables.options import number, refused
-from linksweep.sweep.tables.reader import read_table
+from linksweep.sweep.tables.reader import read_table, write_table
 from linksweep.sweep.tie import tables as files
 from linksweep.sweep.tie.options import FORECAST, SIGNS, TABLE, TIE, ApplyOptions, ForecastOptions, Options, listed
 from linksweep.sweep.tie.setup import DECLARED, FROM_ROWS, Setup, in_row_groups, parse_bins, set_up, set_up_row_groups
@@ -742,7 +743,7 @@ def apply(
     raw.meta["comments"] = [*raw.meta.get("comments", []), *notes]
     if output is not None:
         try:
-            write_at_once(output, raw.write)  # it warns of long names in a FITS header
+            write_at_once(output, partial(write_table, raw))  # it warns of long names in a FITS header
         except (ValueError, TypeError, AttributeError, NotImplementedError) as error:  # each format has its own
             raise SweepError(f"{output.suffix} cannot hold the table: {error}; write .ecsv", str(output)) from error
     return raw
@@ -795,7 +796,10 @@ def _moved(stars: Astrometry, link: xr.Dataset, inverse: bool) -> dict[str, Arra
     # in -180..180 deg where the table is
     values[:2] = (ra + np.pi) % (2.0 * np.pi) - np.pi if np.any(values[0] < 0.0) else ra, dec
     values[3:] = np.where(np.isfinite(values[3:]), [np.sum(axis * velocity.T, axis=0) for axis in axes], np.nan)
-    effect = ROTATION.matrix(Objects(ra, dec, *np.nan_to_num(values[3:])), years) * stars.present.T[..., None]
+    off_pole = np.clip(
+        dec, 2.0 * POLE_LIMIT - np.pi / 2.0, np.pi / 2.0 - 2.0 * POLE_LIMIT
+    )  # nearer, axes turn by any angle
+    effect = ROTATION.matrix(Objects(ra, off_pole, *np.nan_to_num(values[3:])), years) * stars.present.T[..., None]
     # the axes of errors turn too, by so little (1e-7) that their covariance does not change
     whole = stars.covariance()
     whole[:, :5, :5] += effect @ covariance @ effect.swapaxes(1, 2)

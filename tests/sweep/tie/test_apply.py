@@ -6,6 +6,8 @@ from dataclasses import replace
 
 import erfa
 import numpy as np
+import pandas as pd
+import pyarrow.parquet
 import pytest
 from astropy.table import Column, QTable, Table
 from click.testing import CliRunner
@@ -151,6 +153,23 @@ def test_the_file_has_the_columns_of_the_input_and_a_tie_finds_no_rotation(tmp_p
     assert np.all(np.abs(again.estimate) < 1e-3 * again.errors.sel(error_kind="formal"))
     with pytest.raises(SweepError, match="exists already"):
         linksweep.apply(link, tmp_path / "satellite.ecsv", out)
+
+
+def test_what_is_missing_is_missing_in_the_file_and_a_pole_is_a_place_like_others(tmp_path):
+    link = linked(tmp_path, EPSILON, OMEGA)
+    frame = pd.DataFrame({"source_id": [11, 12], "ref_epoch": 2016.0, "ra": [10.0, 20.0], "dec": [90.0, 2.0]})
+    for name, kind, value in (("hip", "Int64", 5), ("var", "boolean", False), ("sp", object, "K0")):
+        frame[name] = pd.Series([value, None], dtype=kind)
+    frame.to_parquet(tmp_path / "gaps.parquet")
+    linksweep.apply(link, tmp_path / "gaps.parquet", tmp_path / "moved.parquet")
+    found = pyarrow.parquet.read_table(tmp_path / "moved.parquet").to_pydict()
+    assert [*found] == [*frame]
+    assert [found[name] for name in ("hip", "var", "sp")] == [[5, None], [False, None], ["K0", None]]
+    assert found["dec"][0] == pytest.approx(90.0 - np.hypot(*EPSILON[:2]) / DEGREE, abs=1e-12)
+    again = linksweep.apply(link, tmp_path / "moved.parquet", tmp_path / "back.ecsv", inverse=True)
+    assert again["dec"].tolist() == pytest.approx(frame["dec"].tolist(), abs=1e-12)
+    with pytest.raises(SweepError, match="no truth value is missing in FITS"):
+        linksweep.apply(link, tmp_path / "gaps.parquet", tmp_path / "moved.fits")
 
 
 @pytest.mark.parametrize("units", [ANGLES | {"dec": ("rad", DEGREE)}, TIME | {"ra": ("hourangle", 1.0 / 15.0)}])
