@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from linksweep.sweep.contract import Point, Status, SweepError, Value, shown
 from linksweep.sweep.studies.points import remarks
-from linksweep.sweep.studies.study import POINT, Study, is_other
+from linksweep.sweep.studies.study import POINT, Study, are_met, is_other
 from linksweep.sweep.tables.columns import sorted_json
 
 T = TypeVar("T")
@@ -235,9 +235,10 @@ class Grid:
         """Return a key that is equal for two points of this grid exactly if they share their random numbers."""
         return tuple(parameters[name] for name in self._names if name not in self._shared)
 
-    def excludes(self, parameters: dict[str, Any]) -> bool:
+    def excludes(self, parameters: Mapping[str, Any]) -> bool:
         """Return whether the study leaves out a point with these parameters."""
-        return any(all(c.holds(parameters[c.name]) for c in clause) for clause in self.study.excluded)
+        gone = self.study.missing(parameters)
+        return any(are_met(clause, parameters, gone) for clause in self.study.excluded)
 
 
 def all_but(study: Study, points: Collection[bytes]) -> dict[str, int]:
@@ -313,7 +314,7 @@ def make_grid(study: Study) -> Grid:
         sentences += [f"{name} = {shown(study.fixed[name])} changes nothing: {why}" for name, why in idle.items()]
     if sentences:
         raise SweepError(sentences, study.source)
-    values = {name: (value,) for name, value in study.experiment.defaults().items()} | values | study.places
+    values = {name: (value,) for name, value in study.experiment.defaults().items()} | values
     asked = study.document.get("when", {})
     clauses = [("exclude", clause, False) for clause in study.excluded]
     clauses += [(f"when.{n}", some, n not in asked) for n, some in study.when.items() if n in {**study.axes, **asked}]

@@ -4,7 +4,7 @@ import hashlib
 import json
 import math
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from decimal import Decimal, InvalidOperation
 from functools import cached_property
@@ -161,6 +161,11 @@ class Condition:
     def _among(self) -> frozenset[tuple[Value, bool]]:
         """What is ``among``; there may be thousands, and a million points to ask."""
         return frozenset(name for value in self.among or () for name in _names(value))
+
+
+def are_met(conditions: Iterable[Condition], parameters: Mapping[str, Any], gone: Collection[str]) -> bool:
+    """Return whether a point meets all conditions; parameters that are ``gone``, without effect there, meet none."""
+    return all(one.name not in gone and one.holds(parameters[one.name]) for one in conditions)
 
 
 def _condition(name: str, written: Any, context: Context) -> Condition:
@@ -831,8 +836,7 @@ class Study:
         values = {name: (value,) for name, value in constants.items()} | dict(self.axes)
         partial: list[str] = []
         for name, conditions in self.when.items():
-            there = [(one, (*values.get(one.name, ()), *[None] * (one.name in partial))) for one in conditions]
-            if not all(one.holds(value) for one, some in there for value in some):
+            if any(c.name in partial or not all(map(c.holds, values.get(c.name, ()))) for c in conditions):
                 partial.append(name)
         return partial
 
@@ -860,7 +864,7 @@ class Study:
         """Return the parameters that have no effect at a point."""
         gone: list[str] = []
         for name, conditions in self.when.items():
-            if not all(one.holds(None if one.name in gone else parameters[one.name]) for one in conditions):
+            if not are_met(conditions, parameters, gone):
                 gone.append(name)
         return gone
 
@@ -869,14 +873,14 @@ class Study:
         names = () if self.points is None else self.points.names
         if {*names}.isdisjoint(self.partial):
             return self
-        constants = self.experiment.defaults() | dict(self.fixed)
-        values, rows = {name: (value,) for name, value in constants.items()} | self.places, []
+        constants, rows = self.experiment.defaults() | dict(self.fixed), []
+        values: dict[str, Sequence[Value]] = {name: [value] for name, value in constants.items()} | dict(self.axes)
         for row in zip(*(self.axes[name] for name in names), strict=True):
-            there = values | {name: (value,) for name, value in zip(names, row, strict=True)}
+            there = values | {name: [value] for name, value in zip(names, row, strict=True)}
             for name, conditions in self.when.items():
                 if not all(any(map(one.holds, there[one.name])) for one in conditions):
-                    there[name] = (None,)
-            rows.append([there[name][0] for name in names])
+                    there[name] = []
+            rows.append([next(iter(there[name]), None) for name in names])
         return replace(self, axes={**self.axes, **dict(zip(names, zip(*rows, strict=True), strict=True))})
 
     def arguments(self, parameters: dict[str, Any]) -> dict[str, Any]:
