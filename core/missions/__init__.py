@@ -67,12 +67,13 @@ class FunctionCurve:
         name, flat = f"the function {self.function.name!r}", np.array(v_mag, dtype=np.float64).reshape(-1)
         try:
             with np.errstate(all="ignore"):  # the values are checked below
-                returned = np.ma.asarray(self.function(flat.copy()))  # a copy: the function may change it
+                raw = self.function(flat.copy())  # a copy: the function may change it
+                returned, unit = np.ma.asarray(raw), getattr(raw, "unit", None) or getattr(raw, "units", None)
         except (Exception, SystemExit) as error:  # whatever a user's function raises
             raise CurveError(f"{name} raises {type(error).__name__}: {error}") from error
-        if returned.shape != flat.shape or returned.dtype.kind not in "fiu":
-            what = f"{returned.dtype} of shape {returned.shape}"
-            raise CurveError(f"{name} returns {what}, not numbers of shape {flat.shape}")
+        if returned.shape != flat.shape or returned.dtype.kind not in "fiu" or unit is not None:
+            what = f"{returned.dtype} of shape {returned.shape}" + ("" if unit is None else f" in {unit}")
+            raise CurveError(f"{name} returns {what}, not plain numbers of shape {flat.shape}")
         values = np.ma.filled(returned.astype(np.float64), np.nan)
         if (bad := ~(np.isfinite(values) & (values > 0))).any():
             value, at = values[bad][0], flat[bad][0]

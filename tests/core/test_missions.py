@@ -8,6 +8,7 @@ import sys
 
 import numpy as np
 import pytest
+from astropy.units import Quantity
 from pygaia.errors import astrometric
 
 from linksweep.core.missions import MISSIONS, CurveError, FunctionCurve, mission_from_table
@@ -30,7 +31,8 @@ NO_CURVES = {  # what is said of a function
     "the function 'sigma' raises IndexError: ": lambda v: v[100],
     "the function 'sigma' raises SystemExit: 3": lambda v: sys.exit(3),
     "the function 'sigma' returns nan at V = 15 mag: must be positive and finite": lambda v: np.log10(v - 16.0),
-    "returns float64 of shape (), not numbers of shape (5,)": lambda v: 0.3,
+    "returns float64 of shape (), not plain numbers of shape (5,)": lambda v: 0.3,
+    "returns float64 of shape (5,) in mas / yr, not plain": lambda v: Quantity(v, "mas / yr"),
     "the function 'sigma' returns nan at V = 18 mag": lambda v: np.ma.masked_greater(v, 17.5),
 }
 PUBLISHED = [
