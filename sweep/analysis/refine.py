@@ -21,9 +21,10 @@ from linksweep.sweep.contract import Status, SweepError, Value, suggest
 from linksweep.sweep.formatting import counted
 from linksweep.sweep.planning.grid import NO_EFFECT, Grid, make_grid
 from linksweep.sweep.planning.union import REFINED, Round, point_at, refined, rounds_of
-from linksweep.sweep.running.run import find_store, open_store
+from linksweep.sweep.running.run import find_store, open_store, with_stored
 from linksweep.sweep.stores.location import Where, locked
 from linksweep.sweep.stores.store import OpenStore
+from linksweep.sweep.studies.points import NEAR, are_near
 from linksweep.sweep.studies.study import Study, is_number
 
 SHARE = 0.2  # of the realisations of the full grid: where so many are spent points get no more, unless the user says so
@@ -52,7 +53,7 @@ def read(goal: Goal, study: Study) -> tuple[laws.Limit, str]:
     over = along or (numeric[0] if len(numeric) == 1 else "")
     which = f"along = {along}: axes of several numbers are" if along else "name the axis with along (--along):"
     wrong = {
-        f"within = {within}: find needs a number above 0, in the unit of the axis": find and within is None,
+        "name within (--within): find needs a number above 0, in the unit of the axis": find and within is None,
         f"within = {within}: must be above 0 in the unit of the axis": within is not None and not 0 < within < math.inf,
         f"variable = {goal['variable']}: does not go with find": find and goal["variable"] is not None,
         f"{until}: write 'error < 0.002'": until and (limit.variable + limit.sign != "error<" or limit.number <= 0),
@@ -168,9 +169,11 @@ def refinements(study: Study, store: Where, goal: Goal, run: Callable[[Study], x
         if state.upcoming is None:
             return
         rounds = [*rounds, state.upcoming]
-        make_grid(refined(study, rounds))  # what is wrong with a new point is said before it is recorded
+        make_grid(grown := refined(study, rounds))  # what is wrong with a new point is said before it is recorded
         with locked(store):
-            open_store(OpenStore(store), now, writes=True).record({REFINED: json.dumps([*map(asdict, rounds)])})
+            there = open_store(OpenStore(store), now, writes=True)
+            with_stored(there, grown)
+            there.record({REFINED: json.dumps([*map(asdict, rounds)])})
 
 
 def looked_at(asked: Study, now: Study, rounds: Sequence[Round], goal: Goal, dataset: xr.Dataset) -> Refinement:
@@ -203,7 +206,9 @@ def looked_at(asked: Study, now: Study, rounds: Sequence[Round], goal: Goal, dat
     spent = int(dataset["n_sim_done"].sum() if numbers else (status == Status.DONE).sum())
     there = sorted(value for value in now.axes[over] if value is not None)
     finest = finest if is_find else float(np.diff(there).min())
-    per_line, each = math.floor((axis[-1] - axis[0]) / finest * ROUNDING) + 1, math.prod(numbers.values())
+    closest = max(finest, NEAR * max(map(abs, axis)))
+    per_line = max(len(axis), math.floor((axis[-1] - axis[0]) / closest * ROUNDING) + 1)
+    each = math.prod(numbers.values())
     full = per_line * (status.size // dataset[over].size) * each
     gaps.sort(key=lambda gap: -gap[0])  # what is known least comes first, as there may not be points for all
     affordable = None if most is None else max(0, most - spent) // each
@@ -262,4 +267,5 @@ def _middle(values: Sequence[Any], low: float, high: float) -> float:
     if all(type(value) is int for value in axis):
         return int(min(max(round(half), low + 1), high - 1)) if high - low >= 2 else int(low)
     rounded = (float(f"{half:.{digits}g}") for digits in range(1, 18))
-    return next(x for x in rounded if abs(x - half) <= OFF_CENTRE * (half - low))
+    middle = next(x for x in rounded if abs(x - half) <= OFF_CENTRE * (half - low))
+    return low if are_near(low, middle) or are_near(middle, high) else middle

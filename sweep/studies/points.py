@@ -34,8 +34,8 @@ from linksweep.sweep.tables.reader import BRACKETS, read_table
 MAX_VALUES = 1_000_000
 """The most values of an axis, and the most rows of a table of points."""
 
-NEAR = 1e-12
-"""Relative difference of numbers that are meant to be the same."""
+NEAR = 1e-14
+"""Relative difference of numbers that are meant to be the same: that of 15 digits, and of sums of a few terms."""
 
 MORRIS_LEVELS = 4
 """Values of each parameter in a Morris design; an even number."""
@@ -224,6 +224,11 @@ def numbers_like(known: Iterable[Value], values: Iterable[Value]) -> tuple[Value
     return tuple(first.get(value, value) if type(value) in (int, float) else value for value in values)
 
 
+def are_near(one: float, other: float) -> bool:
+    """Return whether two numbers differ by no more than rounding."""
+    return abs(other - one) <= NEAR * max(abs(one), abs(other))
+
+
 def require_distinct(values: Sequence[Value], may_repeat: bool = False) -> None:
     """Raise ValueError for numbers that cannot be values of one coordinate: integers that no float equals beside
     floats, equal ones of two types, and unless values ``may_repeat`` two that differ by no more than rounding.
@@ -235,8 +240,7 @@ def require_distinct(values: Sequence[Value], may_repeat: bool = False) -> None:
     if inexact := next((value for value in numbers if value != float(value)), None):
         raise ValueError(f"{inexact} cannot stand beside numbers with a fraction: no float equals it")
     for one, other in pairwise(numbers):
-        is_near = other - one <= NEAR * max(abs(one), abs(other))
-        if is_near and (type(one) is not type(other) if one == other else not may_repeat):
+        if are_near(one, other) and (type(one) is not type(other) if one == other else not may_repeat):
             raise ValueError(
                 f"{one!r} and {other!r} are equal but for rounding; they would be two points: give one of them"
             )
