@@ -30,7 +30,7 @@ from threadpoolctl import threadpool_limits
 from linksweep.sweep.code import load_experiment, new_process, provide, sendable, source_digest
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing import worker
-from linksweep.sweep.executing.pools import DEFAULT_POOL, NO_LIMITS, Limits, Place, Resources, available_cores
+from linksweep.sweep.executing.pools import NO_LIMITS, Limits, Place, Resources, available_cores
 from linksweep.sweep.executing.task import AnyJob, Call, Executor, Failure, Identity, PointBlock, Task, TaskResult
 from linksweep.sweep.interrupt import SIGNALS
 from linksweep.sweep.studies.study import Study
@@ -461,20 +461,12 @@ def _results(deadlines: worker.Deadlines, task: Task | Call, careful: bool) -> I
     if isinstance(task, Call):
         yield [worker.compute(task, deadlines)]
         return
-    sent = time.monotonic()
-    enough = sent + max(worker.ENOUGH_S, task.enough_s)
-    experiment = load_experiment(task.experiment_reference, digest=task.source_digest)
-    split = careful and (experiment.vectorised or worker.takes_several(experiment, task))
-    tasks = [replace(task, units=(unit,)) for unit in task.units] if split else [task]
-    ready: list[TaskResult] = []
-    for result in (result for part in tasks for result in worker.run_units(part, deadlines)):
+    ready, sent = list[TaskResult](), time.monotonic()
+    for result in worker.run_units(task, deadlines, apart=careful):
         ready.append(result)
-        now = time.monotonic()
-        if careful or now > min(enough, sent + SEND_EVERY_S):
+        if careful or time.monotonic() > sent + SEND_EVERY_S:
             yield ready
-            ready, sent = [], now
-        if now > enough:
-            break
+            ready, sent = [], time.monotonic()
     if ready:
         yield ready
 
@@ -624,11 +616,8 @@ def mapped(reference: str, resources: Resources, say: Callable[[str], None]) -> 
     """Give a function that maps another one over many pieces, with results in the order of the pieces: in this process
     where nothing is requested, else on the workers, which must have the code of this experiment.
 
-    A piece gives the same bits wherever it is computed; what the function raises is raised here.  Raises SweepError
-    for limits without worker processes, which alone may be ended.
+    A piece gives the same bits wherever it is computed; what the function raises is raised here.
     """
-    if resources.limits and resources.pool not in (None, DEFAULT_POOL):
-        raise SweepError("limits of time and memory need worker processes here")
     opened = serial(reference) if resources.none_requested else resources.open(reference, say)
     with opened as (_, execute):
 

@@ -73,7 +73,7 @@ def other_versions(here: Mapping[str, str], there: Mapping[str, str]) -> list[st
 
 
 # Characters that are kept of what an experiment says when it fails.
-MAX_MESSAGE, MAX_TRACEBACK = 1_000, 20_000
+MAX_MESSAGE, MAX_TRACEBACK = 1_000, 4_000
 
 # Writes what is large of outcomes, by row, elsewhere.
 Keep = Callable[[dict[int, Outcome]], dict[int, Outcome]]

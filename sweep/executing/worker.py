@@ -304,10 +304,11 @@ _agreed: set[Who] = set()
 
 def compute(task: Task | Call, deadlines: Deadlines | None = None) -> Any:
     """Return the result of a task; of a call its value and None, or None and what it raised."""
+    deadlines = deadlines or Deadlines()
     if isinstance(task, Task):
-        return run_task(task, deadlines)
+        return TaskResult.joined([*run_units(task, deadlines)])
     try:
-        with (deadlines or Deadlines()).within(task.time_limit_s):
+        with deadlines.within(task.time_limit_s):
             return task.function(*task.arguments), None
     except TimeLimitError:
         return None, SweepError(f"a piece of the work took longer than the time limit of {task.time_limit_s:g} s")
@@ -315,34 +316,22 @@ def compute(task: Task | Call, deadlines: Deadlines | None = None) -> Any:
         return None, error
 
 
-def run_task(task: Task, deadlines: Deadlines | None = None) -> TaskResult:
-    """Compute the blocks of a task, but begin no further one after `ENOUGH_S` or the task's ``enough_s``, whichever is
-    longer; a point that raises is recorded and the rest goes on.
+def run_units(task: Task, deadlines: Deadlines, apart: bool = False) -> Iterator[TaskResult]:
+    """Yield the results of the units of a task in their order: of one, or unless they are to be ``apart`` of several
+    that were computed in one call; a point that raises is recorded and the rest goes on.
 
-    ``deadlines`` are those of this process if it has any.
+    None begins after `ENOUGH_S` or the task's ``enough_s``, whichever is longer, nor after a point that took too long:
+    its other blocks would too, and the rest is given out again.
     """
-    begun = time.monotonic()
-    results: list[TaskResult] = []
-    for result in run_units(task, deadlines or Deadlines()):
-        results.append(result)
-        if time.monotonic() - begun > max(ENOUGH_S, task.enough_s):
-            break
-    return TaskResult.joined(results)
-
-
-def run_units(task: Task, deadlines: Deadlines) -> Iterator[TaskResult]:
-    """Yield the results of the units of a task in their order: of one, or of several that were computed in one call.
-
-    They end with a point that took too long: its other blocks would too, and the rest is given out again.
-    """
-    computing = _Computing(task, deadlines)
+    begun, computing = time.monotonic(), _Computing(task, deadlines)
     caller = computing.who, threading.get_ident()
-    for result in computing.results():
+    for result in computing.results(apart):
         result.cold = caller not in _called and float(result.seconds[0]) < IMPORTS_S
         _called.add(caller)
         result.outcomes = task.keep(result.outcomes)
         yield result
-        if any(failure.kind == "time limit" for failure in result.failures.values()):
+        is_over = any(failure.kind == "time limit" for failure in result.failures.values())
+        if is_over or time.monotonic() - begun > max(ENOUGH_S, task.enough_s):
             return
 
 
@@ -353,14 +342,17 @@ class _Computing:
         self.task, self.who, self._deadlines = task, (task.experiment_reference, task.source_digest), deadlines
         self.experiment = load_experiment(task.experiment_reference, digest=task.source_digest)
 
-    def results(self) -> Iterator[TaskResult]:
-        """Yield the results of the units, one by one or of several together."""
+    def results(self, apart: bool) -> Iterator[TaskResult]:
+        """Yield the results of the units, one by one or unless ``apart`` of several together."""
         task = self.task
-        if self.experiment.vectorised and len(task.units) > 1 and (together := self._points_together()) is not None:
+        may_be_together = self.experiment.vectorised and len(task.units) > 1 and not apart
+        if may_be_together and (together := self._points_together()) is not None:
             yield together
             return
         with captured() if task.caught else nullcontext(Captured()) as said:
-            several = takes_several(self.experiment, task)
+            # no realisation is kept then, and no block has a time limit
+            is_alone = apart or task.keep_samples or task.time_limit_s is not None
+            several = self.experiment.evaluate_catalogues is not None and not is_alone
             for units in alike(task.units) if several else [task.units]:
                 result = self._catalogues_together(units) if several else None
                 printed = said.taken()
@@ -517,11 +509,6 @@ def alike(units: Sequence[PointBlock]) -> Iterator[tuple[PointBlock, ...]]:
         whole = tuple(group)
         most = max(1, MOST_CATALOGUES // max(unit.block.n_cat for unit in whole)) if small else len(whole)
         yield from (whole[first : first + most] for first in range(0, len(whole), most))
-
-
-def takes_several(experiment: Experiment, task: Task) -> bool:
-    """Return whether catalogues may be evaluated in one call: no realisation is kept, no block has a time limit."""
-    return experiment.evaluate_catalogues is not None and not task.keep_samples and task.time_limit_s is None
 
 
 def _succeeded(outcomes: Sequence[Outcome], seconds: float) -> TaskResult:

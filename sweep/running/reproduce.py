@@ -13,18 +13,18 @@ import numpy as np
 import xarray as xr
 from threadpoolctl import threadpool_limits
 
-from linksweep.sweep.code import Code, file_of
+from linksweep.sweep.code import Code, file_of, load_experiment
 from linksweep.sweep.contract import ResultError, Status, SweepError, shown, suggest
 from linksweep.sweep.executing.executor import Children
 from linksweep.sweep.executing.task import Task, TaskResult
-from linksweep.sweep.executing.worker import run_task
+from linksweep.sweep.executing.worker import compute
 from linksweep.sweep.formatting import first_of, meant, plain
 from linksweep.sweep.planning.grid import Grid, GridPoint, describe
 from linksweep.sweep.running.run import Session, differences_of_code, records_of
 from linksweep.sweep.stores.location import Folder, Where, located
 from linksweep.sweep.stores.store import OpenStore, was_written_here
 from linksweep.sweep.studies.reader import parse_places, parse_value, study_of_attributes
-from linksweep.sweep.studies.record import as_recorded
+from linksweep.sweep.studies.record import Recorded, as_recorded
 from linksweep.sweep.studies.study import DEFAULT_EXPERIMENT, POINT, Study, is_other
 
 MOST_NAMED = 10
@@ -92,12 +92,7 @@ def study_to_look_at(store: Where) -> Study:
     attributes = OpenStore(store).attributes
     if attributes["experiment"] != DEFAULT_EXPERIMENT:
         raise SweepError("no sky and no accuracy here: only studies of the link have these figures", str(store))
-
-    def check(reference: str) -> None:
-        if reference != DEFAULT_EXPERIMENT:
-            raise SweepError(f"names {shown(reference)}, which is not run to draw the sky or accuracies")
-
-    return study_of_attributes(attributes, str(store), Code(check))
+    return study_of_attributes(attributes, str(store), Recorded(load_experiment(DEFAULT_EXPERIMENT)))
 
 
 @dataclass(frozen=True)
@@ -121,7 +116,8 @@ def reproduce(store: Where, at: str, *, trust: bool = False) -> Reproduction:
     place, indices = place_of(study, at, str(store))
 
     def raising(task: Task) -> TaskResult:  # nothing is caught or captured, for the debugger
-        return run_task(replace(task, caught=False, repeatable=False))
+        result: TaskResult = compute(replace(task, caught=False, repeatable=False))
+        return result
 
     with threadpool_limits(1):  # as everywhere, since the last bits depend on it
         result, failures = _alone(as_recorded(study, opened.attributes), place, raising)
@@ -231,13 +227,10 @@ def place_of(study: Study, at: str, where: str) -> tuple[dict[str, Any], dict[st
     if not there:
         raise SweepError(f"--at {shown(at)}: the study has no point with these values", where)
     along = dict(zip(grid.dimensions, np.unravel_index(there, grid.shape) if grid.shape else (), strict=True))
-    for dimension, places in along.items():
-        # None may be the value of an axis and where it has no effect
-        if len({*places.tolist()}) > 1 and not (dimension in wanted and dimension in study.lacking):
-            values = dict.fromkeys(study.places.get(dimension) or range(len(grid.rows[dimension])))
-            problems.append(f"--at: {dimension} needs a value, one of {first_of(list(values), MOST_NAMED)}")
-    if problems:
-        raise SweepError(problems, where)
+    # None may be the value of an axis and where it has no effect
+    lacking = wanted.keys() & study.lacking
+    if several := [d for d, places in along.items() if len({*places.tolist()}) > 1 and d not in lacking]:
+        raise SweepError(f"--at: {', '.join(several)} needs a value: there are {len(there):,} such points", where)
     return grid.point(there[0]).parameters, {dimension: int(places[0]) for dimension, places in along.items()}
 
 

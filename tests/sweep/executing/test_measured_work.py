@@ -152,8 +152,7 @@ def died_once(path, number):
 def test_the_piece_of_a_worker_that_dies_is_computed_by_another_and_limits_hold_for_pieces(tmp_path):
     with mapped(EXPERIMENT, Resources(workers=2), print) as run:
         assert list(run(died_once, [(tmp_path / "died", n) for n in range(8)])) == list(range(8))
-    said = {r"longer than the time limit of 0\.5 s": {"workers": 1}, "need worker processes": {"pool": "threads"}}
-    for words, how in said.items():
-        resources = Resources(**how, limits=Limits(time_s=0.5))
+    for how in ({"workers": 1}, {"pool": "threads"}, {"pool": "serial"}):
+        resources, words = Resources(**how, limits=Limits(time_s=0.5)), r"longer than the time limit of 0\.5 s"
         with pytest.raises(SweepError, match=words), mapped(EXPERIMENT, resources, print) as run:
             list(run(slept, [(60.0,)]))
