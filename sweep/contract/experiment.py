@@ -851,8 +851,8 @@ class Experiment:
 
     @property
     def samples_width(self) -> int:
-        """Number of floats of one realisation of which samples are kept."""
-        return sum(self.size_of(output) for output in self.sample_outputs)
+        """Number of floats of one realisation of which samples are kept, for results or as results."""
+        return self.reducer.samples_width or sum(self.size_of(output) for output in self.sample_outputs)
 
     def compute(
         self, points: Sequence[Point], n_sim: int, pairs: Iterable[GeneratorPair], keep_samples: bool = False

@@ -445,8 +445,8 @@ class FunctionExperiment(Experiment):
             if (key := id(outcome.layout)) not in verdicts:
                 # results with arrays come with a layout each: equal ones are told faster than they are hashed
                 wrong = () if outcome.layout == layout else results.layout_refusals(layout, outcome.layout)
-                if wrong and not self.rng and not self.vectorised:
-                    wrong += results.lengths_hint(layout, outcome.layout)
+                if not self.rng and not self.vectorised and any(text.startswith("the length") for text in wrong):
+                    wrong += ("where lengths may differ, declare Output(NAME, ragged=True)",)
                 verdicts[key] = "; ".join(wrong)
                 layout = layout if wrong else results.joined(layout, outcome.layout)
             if verdicts[key]:
@@ -471,11 +471,6 @@ class FunctionExperiment(Experiment):
     def keeps_samples(self) -> bool:
         """Whether realisations are kept, for quantiles."""
         return self.rng and any(quantile_of(name) is not None for o in self.declared for name in o.statistics)
-
-    @property
-    def samples_width(self) -> int:
-        """Number of floats of one kept realisation."""
-        return self.reducer.samples_width
 
     def ragged(self) -> dict[str, str]:
         """Return the ragged dimension of each output that has one."""

@@ -248,12 +248,9 @@ class Accumulator:
                 so_far[index] = closed, n, n_cat
         return so_far
 
-    def are_whole(self, works: Sequence[Work]) -> bool:
-        """Return whether each work is all that its points need."""
-        study = self.plan.grid.study
-        whole = study.sampling.n_cat * study.sampling.n_sim
-        simple = study.sampling.precision is None and not any(study.counts.values()) and not self.reducer.samples_width
-        return simple and all(work.block.realisations == whole for work in works)
+    def takes_whole(self) -> bool:
+        """Return whether each point consists of one block, and needs its row alone."""
+        return self._whole is not None and not self.reducer.samples_width
 
     def add_whole(self, works: Sequence[Work], rows: Rows, seconds: Array) -> list[GridPoint]:
         """Add the only block of each of some points, many at once; return the points."""

@@ -14,15 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.sweep.contract import Point, Status, SweepError, Value, shown
-from linksweep.sweep.studies.points import remarks
+from linksweep.sweep.studies.points import MAX_PROBLEMS, remarks
 from linksweep.sweep.studies.study import POINT, Study, are_met, is_other
 from linksweep.sweep.tables.columns import sorted_json
 
 T = TypeVar("T")
 
 MAX_POINTS = 10_000_000
-# The most reasons, repeated points and different warnings that are listed.
-MAX_PROBLEMS = 20
 
 # In place of a value: the place along an axis of its own of points at which it has no effect.  None is a value.
 NO_EFFECT: Value = object()

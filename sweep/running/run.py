@@ -458,7 +458,7 @@ class Writer:
         """Add rows to their points; return which results are good, the points that have ended, and what these still
         need.
         """
-        if not result.failures and self.accumulator.are_whole(works):
+        if not result.failures and self.accumulator.takes_whole():
             whole = self.accumulator.add_whole(works, rows, result.seconds)
             return list(range(len(whole))), whole, []
         good: list[int] = []

@@ -210,7 +210,8 @@ RECENT = 4
 MOST_UNWRITTEN = 2**24
 """Bytes of rows and samples that may wait for the next flush, which all go into one part."""
 
-MAX_TRACEBACKS, TRACEBACK_BYTES = 1000, 4096
+MAX_TRACEBACKS = 1000
+"""The most failed points whose traceback is kept."""
 
 CHANGED = "its ledger was removed, or changed by others, during this run"
 
@@ -358,7 +359,7 @@ class Ledger:
 
     def fail(self, digest: bytes, record: Record) -> None:
         """Remember that a point failed; durable after `flush`."""
-        self.failures[digest] = record
+        self.failures[digest] = record if len(self.failures) < MAX_TRACEBACKS else {**record, "traceback": ""}
         self.put("failures", {})
 
     def clear_failures(self, digests: Iterable[bytes]) -> None:
@@ -417,7 +418,7 @@ class Ledger:
         if not self.is_unchanged():
             raise SweepError(CHANGED, str(self._location))
         if "failures" in self._new_documents:
-            self._documents["failures"] = {"failures": _recorded(self.failures)}
+            self._documents["failures"] = {"failures": {one.hex(): record for one, record in self.failures.items()}}
         retyped = {path_of(file) for part in self.parts for file in part.files}
         revision, before = self.manifest.revision + 1, {*self.files, *retyped}
         parts = self._with_new(revision)
@@ -572,16 +573,6 @@ def _failures(document: Mapping[str, Any]) -> dict[bytes, Record]:
 def path_of(file: File | None) -> str:
     """Return the name of a file of the ledger in its store."""
     return "" if file is None else f"{FOLDER}/{file.name}"
-
-
-def _recorded(failures: Mapping[bytes, Record]) -> dict[str, Record]:
-    """Return failures as JSON holds them: digests in hexadecimal, the ends of the first `MAX_TRACEBACKS` tracebacks."""
-    kept: dict[str, Record] = {}
-    for number, (digest, record) in enumerate(failures.items()):
-        # It says what was raised and where.
-        end = record.get("traceback", "").encode()[-TRACEBACK_BYTES:]
-        kept[digest.hex()] = record | {"traceback": end.decode(errors="ignore") if number < MAX_TRACEBACKS else ""}
-    return kept
 
 
 def _record_type(dtype: np.dtype[np.void]) -> np.dtype[np.void]:

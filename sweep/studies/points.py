@@ -51,8 +51,8 @@ PLAIN = frozenset("biufU")
 
 NO_MARKS: Mapping[int, Any] = {}
 
-MAX_PROBLEMS = 50
-"""After this many problems of one study no more are looked for."""
+MAX_PROBLEMS = 20
+"""After this many problems of one study, or reasons why its points cannot be computed, no more are looked for."""
 
 KeyPath = tuple[str | int, ...]
 """Keys and indices that lead to a value of the document."""
@@ -148,12 +148,9 @@ class Values:
         try:
             return self.experiment.parameter(name)
         except ValueError as error:
-            known, settings = [one.name for one in self.experiment.parameters], list(Sampling.model_fields)
-            there = (
-                f"; it is set in [sampling], to one value: --set {name}=VALUE, in Python sampling={{{name!r}: VALUE}}"
-            )
-            hint = there if name in settings else "" if nearest(name, known) else nearest(name, settings)
-            raise ValueError(f"{error}{hint}") from error
+            there = f"; it is set in [sampling]: --set {name}=VALUE, in Python sampling={{{name!r}: VALUE}}"
+            near = "" if "did you mean" in str(error) else nearest(name, list(Sampling.model_fields))
+            raise ValueError(f"{error}{there if name in Sampling.model_fields else near}") from error
 
     def axis(self, name: str, spec: object) -> tuple[Value, ...] | None:
         """Return the values of an axis, a list or a range of them; None if any is wrong."""
@@ -180,12 +177,8 @@ class Values:
         ``rows``.
         """
         before = len(self.problems.sentences)
-        values = []
-        for number, raw in enumerate(raw_values, start=1):
-            values.append(self.one(place, name, raw, f"row {number}: " if rows else ""))
-            if len(self.problems.sentences) >= before + 5:  # of a million values all may be wrong
-                self.problems.add(place, "... and perhaps more values like these")
-                return None
+        numbered = enumerate(raw_values, start=1)
+        values = [self.one(place, name, raw, f"row {number}: " if rows else "") for number, raw in numbered]
         if len(self.problems.sentences) > before:
             return None
         is_any = self.experiment.parameter(name).kind == "any"  # others have numbers of one type
@@ -586,12 +579,8 @@ def _in_file(form: PointsForm, values: Values) -> tuple[Cells, dict[str, str]]:
     doubtful = [n for n, one in ours.items() if one.kind in ("any", "str") and {*map(type, columns[n])} != {str}]
     written, _ = columns_of(read_table(path, texts=doubtful)) if doubtful else ({}, {})
     for name in doubtful:  # 0071 is a name, and not the number 71; and "none" is a value where the choices have it
-        one, pairs = ours[name], list(zip(columns[name], written[name], strict=True))
+        one, pairs = ours[name], zip(columns[name], written[name], strict=True)
         texts = [None if cell is None and text not in one.choices else text for cell, text in pairs]
-        words = {shown(word) for text, (_, word) in zip(texts, pairs, strict=True) if text is None and word}
-        if words and one.kind == "str" and not (one.choices or one.optional or one.when):
-            instead = f"a value that is this text is given in points.columns (in Python points={{{name!r}: [...]}})"
-            raise ValueError(f"{name}: {', '.join(sorted(words))} in a file stands for a missing value; {instead}")
         if one.kind == "str" or any(re.fullmatch(r"0\d+", str(text)) for text in texts):
             columns[name] = texts
         else:  # an integer stays one when a row with a fraction is appended
@@ -857,18 +846,17 @@ def plain_points(points: Any) -> dict[str, Any]:
         known = [name for name, one in table.items() if is_quantity(one) or hasattr(points, "colnames")]
         cells, units = columns_of({name: table[name] for name in known})
         table |= {name: some for name, some in cells.items() if not some or not isinstance(some[0], list)}
-        columns = {name: plain_values(one, f"points.{name}") for name, one in table.items()}
     elif hasattr(points, "columns") and hasattr(points, "to_dict"):
         if points.index.names != [None] or points.index.tolist() != list(range(len(points))):
             before, points = set(points), points.reset_index(allow_duplicates=True)
             labels = [str(name) for name in points if name not in before]
         if not points.columns.is_unique:
             raise SweepError("points: two columns have the same name")
-        cells = {str(name): points[name].astype(object).where(points[name].notna(), None).tolist() for name in points}
-        columns = {name: plain_values(column, f"points.{name}") for name, column in cells.items()}
+        table = {str(name): points[name].astype(object).where(points[name].notna(), None).tolist() for name in points}
     else:
         wanted = "must be a DataFrame, a Table, a mapping of columns, a file or a design"
         raise SweepError(f"points = {shown(points)}: {wanted}")
+    columns = {name: plain_values(column, f"points.{name}") for name, column in table.items()}
     return {"columns": columns} | {key: some for key, some in (("units", units), ("labels", labels)) if some}
 
 

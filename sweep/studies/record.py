@@ -55,11 +55,9 @@ def recorded(study: Study, costs: Costs | None) -> str:
     experiment = study.experiment
     record = {name: getattr(experiment, name) for name in _SAME}
     for name in ("parameters", "outputs", "sample_outputs"):
-        declared = [
-            {f.name: (getattr(one, f.name), f.default) for f in fields(one)} for one in getattr(experiment, name)
-        ]
         record[name] = [
-            {k: v for k, (v, default) in one.items() if v != default and not callable(v)} for one in declared
+            {f.name: v for f in fields(one) if (v := getattr(one, f.name)) != f.default and not callable(v)}
+            for one in getattr(experiment, name)
         ]
     if further := experiment.as_record():
         record |= {"coordinates": {}} | further
@@ -204,13 +202,12 @@ def git_commit() -> str | None:
     folder = Path(__file__).resolve().parents[2]
     if not (folder / ".git").exists():
         return None
-
-    def git(*arguments: str) -> str:
-        # without optional locks: an interruption may kill git, which would leave its lock in the checkout
-        command = ["git", "--no-optional-locks", "-C", str(folder), *arguments]
-        return subprocess.run(command, capture_output=True, text=True, timeout=5, check=True).stdout.strip()
-
+    # without optional locks: an interruption may kill git, which would leave its lock in the checkout
+    command = ["git", "--no-optional-locks", "-C", str(folder), "describe", "--always", "--exclude=*", "--abbrev=40"]
     try:
-        return git("rev-parse", "HEAD") + ("+changes" if git("status", "--porcelain", "--untracked-files=no") else "")
+        described = subprocess.run(
+            [*command, "--dirty=+changes"], capture_output=True, text=True, timeout=5, check=True
+        )
+        return described.stdout.strip()
     except (OSError, subprocess.SubprocessError):
         return None

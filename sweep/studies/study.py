@@ -146,16 +146,12 @@ class Condition:
         """Return a sentence where none of some values meets it, or where one of ``among`` looks misspelt, unless it
         ``is_declared`` for studies with other values; '' elsewhere.
         """
-        is_met = any(map(self.holds, values))
         there = {name for value in values for name in _names(value)} if self.among else set()
-        lacking = [value for value in self.among or () if there.isdisjoint(_names(value))]
-        named = [value for value in lacking if not str(value).startswith("sha256:")][:20]
+        lacking = [str(value) for value in self.among or () if there.isdisjoint(_names(value))][:20]
         known = list(dict.fromkeys(str(value) for value in values if isinstance(value, str | Named)))[:1000]
-        near = [one for one in named if nearest(str(one), known)]
-        if is_met and (is_declared or not near):
-            return ""
-        hints = [f": {shown(one)}{suggest(str(one), known)}" for one in [*near, *named][:1]]
-        return f"no point has such a value of {self.name}{''.join(hints)}"
+        near = next((f": {shown(one)}{hint}" for one in lacking if (hint := nearest(one, known))), "")
+        is_met = any(map(self.holds, values)) and (is_declared or not near)
+        return "" if is_met else f"no point has such a value of {self.name}{near}"
 
     @cached_property
     def _among(self) -> frozenset[tuple[Value, bool]]:
@@ -655,13 +651,9 @@ class Part:
         """
         names = (TASK, "SLURM_ARRAY_TASK_MIN", "SLURM_ARRAY_TASK_MAX", "SLURM_ARRAY_TASK_COUNT")
         task, first, last, tasks = (int(text) if (text := environment.get(n, "")).isdecimal() else -1 for n in names)
-        instead = f"; name the part, as in --part ${TASK}/100"
-        if min(task, first, last, tasks) < 0:
-            raise ValueError(f"array: {', '.join(names)} do not say which task of a job array this is{instead}")
-        if last - first + 1 != tasks:
-            raise ValueError(
-                f"array: {tasks} tasks from {first} to {last} do not say how many parts there are{instead}"
-            )
+        if min(task, first, last, tasks) < 0 or last - first + 1 != tasks:
+            words = "do not say which of how many parts this is; name the part, as in --part"
+            raise ValueError(f"array: {', '.join(names)} {words} ${TASK}/100")
         return cls.parsed(f"{task - first + 1}/{tasks}")
 
     def __str__(self) -> str:

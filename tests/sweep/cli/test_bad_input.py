@@ -26,7 +26,6 @@ n_sim = 10
 seed = 7
 """
 DECAY = b"def decay(years: float, half_life: float, rng):\n    return {'left': rng.random() ** years, 'lost': years}\n"
-NO_ADDRESSES = ["host", "nonsense://x:1", "tcp://", "tcp://:1"]
 NOT_A_STORE = "is not a store of linksweep (foreign or half-made)"
 ROOT = {"zarr_format": 3, "node_type": "group"}
 FOREIGN = {  # by what stands there: its files, and what is said
@@ -216,7 +215,7 @@ COMMANDS = [
     ("tie psrpi psrpi --mission a=psrpi --mission a=psrpi", "named twice"),
     ("tie psrpi psrpi --mission a=psrpi --mission-epoch b=1991.25", "no table 'b'"),
     ("tie psrpi psrpi --mission a=psrpi --jitter b:position=1", "no table 'b'"),
-    ("reproduce STORE --at metal=tin", "--at: coins needs a value, one of 1, 5, 20"),
+    ("reproduce STORE --at metal=tin", "--at: coins needs a value: there are 3 such points"),
     ("reproduce STORE --at metal=tun,coins=1", "--at metal = 'tun': must be one of 'gold', 'tin'; did you mean 'tin'?"),
     ("reproduce STORE --at metal=tin,coins=6", "--at coins = 6: not on the axis, which has 1, 5, 20"),
     ("reproduce STORE --at metall=tin,coins=6", "--at metall: is not an axis; did you mean 'metal'?"),
@@ -283,11 +282,12 @@ def test_a_command_that_cannot_be_run_says_why(here, coin_store, decayed, comman
     check_refused(here, words, *phrase.replace("STORE", str(coin_store)).split(", name it "))
 
 
-@pytest.mark.parametrize("address", [*NO_ADDRESSES, "tcp://127.0.0.1:1", slow("tcp://127.0.0.1:99999999")])
+@pytest.mark.parametrize(
+    "address", ["host", "nonsense://x:1", "tcp://", "tcp://:1", "tcp://127.0.0.1:1", slow("tcp://127.0.0.1:99999999")]
+)
 def test_bad_scheduler(here, monkeypatch, address):
     monkeypatch.setattr("linksweep.sweep.executing.clusters.CONNECT_TIMEOUT_S", 1)
-    words = "expected tcp://HOST:PORT" if address in NO_ADDRESSES else "no Dask scheduler answers"
-    check_refused(here, ("run", "study.toml", "--scheduler", address), words, repr(address))
+    check_refused(here, ("run", "study.toml", "--scheduler", address), "no Dask scheduler answers", repr(address))
 
 
 @pytest.mark.parametrize("case", FOREIGN)
