@@ -12,6 +12,7 @@ from collections.abc import Collection, Mapping, Sequence
 from contextlib import redirect_stdout, suppress
 from dataclasses import dataclass, field, replace
 from importlib import resources
+from itertools import chain
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -781,7 +782,7 @@ def with_observations(
         raise SweepError(f"{said}: take the table of the same release, or files with ra0 and dec0", left.path)
     origin = np.where(blank, stars.values[:2], origin)
     used = set(rows.tolist())
-    model, orbit = _models({name: k for name, k in place.items() if k in used}, models, orbits, epoch)
+    model, orbit = _models({name: k for name, k in place.items() if k in used}, models, orbits, epoch, notes)
     observed = {str(name): frame[name].to_numpy() for name in frame.select_dtypes("number")}
     transits = Transits(star, observed, model, orbit, noise, origin, epoch, names[rows], stars)
     try:
@@ -801,27 +802,29 @@ def with_observations(
 
 
 def _models(
-    place: Mapping[str, int], models: Mapping[str, str], orbits: str | Path | None, epoch: float
+    place: Mapping[str, int], models: Mapping[str, str], orbits: str | Path | None, epoch: float, notes: list[str]
 ) -> tuple[Any, Array]:
-    """Return the model of each star with observations, in the order of their rows, and its orbit (7, S)."""
-    elements = {} if orbits is None else _orbits(place, Path(orbits), epoch)
+    """Return the model of each star with observations, in the order of their rows, and its orbit (7, S); add notes."""
+    elements = {} if orbits is None else _orbits(place, Path(orbits), epoch, notes)
     chosen = {row: "orbit" if row in elements else models.get("all", "5") for row in sorted(set(place.values()))}
     for star, model in models.items():
         if model not in MODELS or not (star == "all" or star in place):
             known = f"models are {', '.join(MODELS)}, stars with observations {first_of(list(place), 5)}"
             raise SweepError(f"model {model} of {star}: {known}")
+        if model != "orbit" and place.get(star) in elements:
+            raise SweepError(f"model {model} of {star}, which has an orbit in {orbits}: which of them?")
         chosen |= {place[star]: model} if star in place else {}
     if absent := [star for star, row in place.items() if chosen[row] == "orbit" and row not in elements]:
         raise SweepError(f"no elements of the orbit of {absent[0]}: give a table with --orbits")
     return np.array(list(chosen.values())), np.array([elements.get(row, np.zeros(7)) for row in chosen]).T
 
 
-def _orbits(place: Mapping[str, int], path: Path, epoch: float) -> dict[int, Array]:
-    """Return the elements of orbits, as `bends` needs them, by row of the satellite's table."""
+def _orbits(place: Mapping[str, int], path: Path, epoch: float, notes: list[str]) -> dict[int, Array]:
+    """Return the elements of orbits, as `bends` needs them, by row of the satellite's table; add notes."""
     table = read_file(path)
     read, star = Columns(table, str(path)), first_found(SOURCE_NAMES, table.colnames)
-    shape = THIELE_INNES if THIELE_INNES[0] in table.colnames else CAMPBELL
-    for name in ("period", "eccentricity", "t_periastron", *shape, *([] if star else ["source_id"])):
+    shapes = [shape for shape in (THIELE_INNES, CAMPBELL) if shape[0] in table.colnames] or [CAMPBELL]
+    for name in ("period", "eccentricity", "t_periastron", *chain(*shapes), *([] if star else ["source_id"])):
         read.require(name)
     read.finish()
     days = [read.numbers(name) * Unit(table[name].unit or "d").to("d") for name in ("period", "t_periastron")]
@@ -829,17 +832,32 @@ def _orbits(place: Mapping[str, int], path: Path, epoch: float) -> dict[int, Arr
     start = read.numbers("ref_epoch") if "ref_epoch" in table.colnames else epoch
     julian = 2000.0 + (time - np.where(time > archives.JD_FROM, 2451545.0, 51544.5)) / core.DAYS_PER_YEAR
     periastron = np.where(time > archives.MJD_FROM, julian, start + time / core.DAYS_PER_YEAR) - epoch
-    if shape == CAMPBELL:
-        angles = [read.numbers(name) * Unit(table[name].unit or "deg").to("rad") for name in CAMPBELL]
-        plane = Rotation.from_euler("ZXZ", np.array(angles).T).as_matrix()[:, :2, :2].swapaxes(1, 2)
-    else:
-        plane = np.array([read.numbers(name) for name in THIELE_INNES]).T.reshape(-1, 2, 2)
-    plane /= np.linalg.norm(plane, ord=2, axis=(1, 2), keepdims=True)  # the largest singular value is the semi-axis
-    closed = (period > 0.0) & (e >= 0.0) & (e < 1.0) & np.isfinite(periastron + plane.sum(axis=(1, 2)))
-    read.check(~closed, "a period, an eccentricity or other elements of no orbit")
+    planes = np.array([_plane(read, shape) for shape in shapes])
+    whole = np.isfinite(planes).all(axis=(2, 3))
+    planes[~whole] = np.eye(2)
+    planes /= np.linalg.norm(planes, ord=2, axis=(2, 3), keepdims=True)  # the largest singular value is the semi-axis
+    rows = np.array([place.get(name, -1) for name in read.text(str(star))])
+    used = (rows >= 0) & whole.any(axis=0)
+    if np.any(gone := (rows >= 0) & ~used):
+        notes.append(f"{path.name}: no orbit on the sky, and so none that is used, in row {archives.rows_listed(gone)}")
+    orbit = np.array([period, e, periastron, *planes[whole.argmax(axis=0), np.arange(len(rows))].reshape(-1, 4).T])
+    closed = (period > 0.0) & (e >= 0.0) & (e < 1.0) & np.isfinite(periastron)
+    read.check(used & ~closed, "a period, an eccentricity or other elements of no orbit")
+    unlike = whole.all(axis=0) & (np.abs(planes[0] - planes[-1]).max(axis=(1, 2)) > 0.02)
+    read.check(used & unlike, "Thiele-Innes elements and angles of two orbits")
+    stars, number = np.unique(rows[used], return_counts=True)
+    read.check(used & np.isin(rows, stars[number > 1]), "one of several orbits of a star")
+    read.problems += [] if len(stars) else ["has no whole orbit of a star with observations"]
     read.finish()
-    orbit = np.array([period, e, periastron, *plane.reshape(-1, 4).T])
-    return {place[name]: orbit[:, k] for k, name in enumerate(read.text(str(star))) if name in place}
+    return {row: orbit[:, k] for k, row in enumerate(rows.tolist()) if used[k]}
+
+
+def _plane(read: Columns, shape: Sequence[str]) -> Array:
+    """Return the Thiele-Innes elements (N, 2, 2) of orbits, of any scale."""
+    if shape == THIELE_INNES:
+        return np.array([read.numbers(name) for name in shape]).T.reshape(-1, 2, 2)
+    angles = [read.numbers(name) * Unit(read.table[name].unit or "deg").to("rad") for name in shape]
+    return np.asarray(Rotation.from_euler("ZXZ", np.array(angles).T).as_matrix()[:, :2, :2].swapaxes(1, 2))
 
 
 def described(epochs: Epochs, problem: Problem, solution: Solution, factors: Array | Flags) -> dict[str, Any]:

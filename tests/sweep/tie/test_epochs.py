@@ -325,6 +325,29 @@ def test_stars_without_observations_and_strangers_are_named(tmp_path):
     assert link.path_model.values.tolist() == ["7"] * 4 + ["5"]
 
 
+def test_an_orbit_is_that_of_one_star_and_one_that_is_not_on_the_sky_is_none(tmp_path):
+    sky, one, blank = drawn(4, ["orbit", "5", "5", "5"]), [10**17, *ORBIT[:3], *ORBIT[3:]], [None] * 7
+    names = ("source_id", "period", "eccentricity", "t_periastron", *(f"{k}_thiele_innes" for k in "abfg"))
+    names += ("nodeangle", "inclination", "arg_periastron")
+    angles = np.degrees([NODE, INCLINATION, PERIASTRON]).tolist()
+
+    def link(*rows, **options):
+        pd.DataFrame(rows, columns=names).to_csv(tmp_path / "orbits.csv", index=False)
+        return linked(tmp_path, sky, orbits=tmp_path / "orbits.csv", accept_misfit=True, **options)
+
+    found = link([*one, *angles], [10**17 + 7, 30.0, 0.0, 0.0, *blank])
+    assert found.path_model.values.tolist() == ["orbit", "5", "5", "5"]
+    assert "orbits.csv: no orbit on the sky, and so none that is used, in row 2" in found.attrs["notes"]
+    for rows, options, said in (
+        ([[*one, *angles], [*one[:4], *blank[:4], *angles]], {}, "one of several orbits of a star in row 1, 2"),
+        ([[*one, 0.0, *angles[1:]]], {}, "elements and angles of two orbits in row 1"),
+        ([[5, *one[1:], *angles]], {}, "no whole orbit of a star with observations"),
+        ([[*one, *angles]], {"star_models": {str(10**17): "7"}}, f"model 7 of {10**17}, which has an orbit"),
+    ):
+        with pytest.raises(SweepError, match=said):
+            link(*rows, **options)
+
+
 def test_text_in_a_file_is_never_run(tmp_path):
     linked(tmp_path, drawn(1, ["5"] * 3), form="csv")
     path, run = tmp_path / "scans.csv", f"__import__('pathlib').Path('{tmp_path}/ran').touch()"
