@@ -319,8 +319,6 @@ def require_axis(dataset: xr.Dataset, variable: str, over: str | None) -> str:
     varied = varied_parameters(dataset) if POINT in dataset[variable].dims else []
     if len(varied) == 1 and dataset[varied[0]].dtype.kind in "if":
         axes += varied
-    if over in numeric_axes(dataset, variable, "M"):
-        raise SweepError(f"{over} has times, and a law or a condition is along numbers, such as days from the first")
     listed_axes = ", ".join(axes) or "none"
     if over is not None and over not in axes:
         raise SweepError(f"{shown(over)} is no axis with several numbers of {variable}; there are {listed_axes}")

@@ -88,12 +88,10 @@ class Reasons:
 
     def in_words(self) -> list[str]:
         """Return the most frequent reasons, each with how many points it is of and one of them."""
-        words = [
-            f"{short(message)}, at {place}"
-            if number == 1
-            else f"{number:,} like {short(message)}, for example at {place}"
-            for number, place, message in self.most()
-        ]
+        words = []
+        for number, place, message in self.most():
+            before, after = ("", "") if number == 1 else (f"{number:,} like ", " for example")
+            words.append(f"{before}{short(message)},{after} at {place}")
         return [*words[:NAMED], *([f"{len(words) - NAMED:,} other reasons"] if len(words) > NAMED else [])]
 
 

@@ -202,7 +202,7 @@ def test_a_series_over_days_is_a_line_over_days(tmp_path):
         assert np.array_equal(line.get_ydata(), values)
     one = linksweep.plot(ds.isel(day=slice(0, 2)), over=["rate"])
     assert {"2024-01-01", "2024-01-02"} <= set(one.axes[0].get_legend_handles_labels()[1])
-    with pytest.raises(SweepError, match="day has times"):
+    with pytest.raises(SweepError, match="'day' is no axis with several numbers"):
         linksweep.find(ds, "height > 0", over="day")
 
 
