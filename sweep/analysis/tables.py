@@ -231,8 +231,8 @@ def tables_with_errors(dataset: xr.Dataset, most: int | None = None) -> list[Tab
 
 
 def warnings_of(dataset: xr.Dataset) -> list[str]:
-    """Return what the experiment warned of when the run began, and a sentence about points at which some unknowns can
-    hardly be told apart.
+    """Return what the experiment warned of when the run began, how many points did not reach their precision, and a
+    sentence about points at which some unknowns can hardly be told apart.
     """
     conditions, warnings = _conditions(dataset), list(json.loads(dataset.attrs.get("warnings", "[]")))
     if (bad := conditions[conditions > BAD_CONDITION]).size:

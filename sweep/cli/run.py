@@ -424,6 +424,8 @@ def status(store: "Location" = cli.STORE, as_json: bool = cli.JSON) -> None:
             cli.print_wrapped(f"{key.replace('_', ' ')}: {report[key]}")
     for number, one in enumerate(report["rounds"], 1):
         cli.print_wrapped(f"round {number} of sweep refine: {one}", later="   ")
+    for sentence in report["warnings"]:
+        cli.print_wrapped(f"warning: {sentence}")
     if failures := report["failures"]:
         cli.put(f"\n{counted(len(failures), 'point')} failed:")
         for reason in progress.reasons_of(failures).in_words():

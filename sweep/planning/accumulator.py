@@ -46,8 +46,9 @@ class Accumulator:
     """Joins blocks by the reducer of an experiment.
 
     The blocks of a point are added in their own order, not in order of arrival, so that the result is bitwise the same
-    however they were computed; only blocks that arrive early are kept.  ``total``, ``realisations``, ``status`` and
-    ``seconds``, of all blocks of a point together, (points,) are indexed like the grid.
+    however they were computed; only blocks that arrive early are kept.  ``total``, ``realisations``, ``status``,
+    ``seconds``, of all blocks of a point together, and ``is_coarse``, whether it has ended without the precision that
+    is asked for, (points,) are indexed like the grid.
     """
 
     def __init__(
@@ -75,6 +76,7 @@ class Accumulator:
         self.realisations = np.zeros(len(grid), dtype=np.int64)
         self.status = np.full(len(grid), Status.EXCLUDED, dtype=np.int8)
         self.seconds = np.zeros(len(grid))
+        self.is_coarse = np.zeros(len(grid), dtype=bool)
         self._seconds = np.full(self._rows.end, np.nan) if seconds is None else seconds
         self._rounds: dict[int, _Round] = {}
         self._share = plan.share()
@@ -306,7 +308,7 @@ class Accumulator:
             self._rounds[point.index] = more
             return list(self.blocks(point))
         del self._rounds[point.index]
-        self.status[point.index] = Status.DONE
+        self.status[point.index], self.is_coarse[point.index] = Status.DONE, not reached
         return []
 
 

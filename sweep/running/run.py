@@ -516,13 +516,18 @@ class Writer:
         done = int(np.count_nonzero(status == Status.DONE))
         if not (status == Status.MISSING).any():
             self._provenance.pop("repaired", None)
+        warnings, sampling = [*self.plan.grid.warnings], self.plan.grid.study.sampling
+        is_coarse = self.plan.grid.with_repeats(self.accumulator.is_coarse) & (status == Status.DONE)
+        if coarse := int(np.count_nonzero(is_coarse)):
+            why = f"did not reach precision = {sampling.precision:g} with max_n_sim = {sampling.most}"
+            warnings.append(f"{coarse:,} of {counted(points, 'point')} {why}")
         return self._provenance | {
             "finished": now(),
             "points": points,
             "points_done": done,
             "complete": int(points == done or self._has_its_part()),
             "failures": json.dumps(self.failures(MAX_FAILURES_NAMED)),
-            "warnings": json.dumps(self.plan.grid.warnings),
+            "warnings": json.dumps(warnings),
         }
 
     def _has_its_part(self) -> bool:
@@ -809,7 +814,9 @@ class Session:
             dataset = writer.write(final=not self._too_many)
         writer.require_whole()
         results = (dataset, writer.failures()) if self._asked is None else self.part()
-        (progress or Silent()).written()
+        (progress := progress or Silent()).written()
+        for sentence in json.loads(results[0].attrs["warnings"])[len(writer.plan.grid.warnings) :]:
+            progress.say(f"warning: {sentence}")
         if self._too_many:
             raise TooManyFailuresError(f"stopped: {self._too_many}; {GOES_ON}", str(writer.store.location))
         return results

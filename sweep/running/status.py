@@ -164,6 +164,7 @@ def status_report(store: Where) -> dict[str, Any]:
         **random,
         **({"lost_parts": attributes[LOST]} if LOST in attributes else {}),
         "rounds": [str(one) for one in rounds_of(attributes)],
+        "warnings": json.loads(attributes.get("warnings", "[]")),
         "failures": failures_by_place(grid, status, ledger.failures),
         "command": attributes.get("command"),
         "provenance": {key: attributes[key] for key in PROVENANCE if attributes.get(key) not in (None, "")}
