@@ -74,24 +74,9 @@ class ErrorModel:
         sigma = self.without_floor(catalogue)
         return np.hypot(sigma, MAS * np.repeat(self.floor, 2)) if any(self.floor) else sigma
 
-    def own_correlation(self, catalogue: Catalogue) -> Array | None:
-        """Return the correlations of each object's four errors without floors; None where there are none."""
-        return None
-
     def correlation(self, catalogue: Catalogue) -> Array | None:
-        """Return the correlations of each object's four errors, shape (N, 4, 4), or None where there are none.
-
-        Floors make them smaller, since these are independent.
-        """
-        correlation = self.own_correlation(catalogue)
-        if correlation is None or not any(self.floor):
-            return correlation
-        part, total = self.without_floor(catalogue), self.standard_errors(catalogue)
-        # the covariance D R D keeps its off-diagonal terms while D grows to the total
-        share = np.divide(part, total, out=np.ones_like(part), where=total > 0.0)
-        smaller = correlation * share[:, :, None] * share[:, None, :]
-        smaller[:, range(4), range(4)] = 1.0
-        return np.asarray(smaller)
+        """Return the correlations of each object's four errors, shape (N, 4, 4), or None where there are none."""
+        return None
 
     def at_limit(self, point: Point, catalogue: CatalogueKind) -> tuple[float, float]:
         """Return the errors (mas, mas/yr) of an object at the faint limit of a catalogue that is drawn."""
@@ -241,9 +226,17 @@ class CatalogueErrors(ErrorModel):
         listed = None if objects is None else objects.own_errors(self.side)
         return any(self.floor) or (listed is not None and self.scale > 0.0 and bool(np.any(listed.sigma)))
 
-    def own_correlation(self, catalogue: Catalogue) -> Array | None:
-        """Return the catalogue's own correlations; shape (N, 4, 4)."""
-        return self._listed(catalogue).correlation
+    def correlation(self, catalogue: Catalogue) -> Array | None:
+        """Return the catalogue's own correlations; floors make them smaller, since these are independent."""
+        correlation = self._listed(catalogue).correlation
+        if correlation is None or not any(self.floor):
+            return correlation
+        part, total = self.without_floor(catalogue), self.standard_errors(catalogue)
+        # the covariance D R D keeps its off-diagonal terms while D grows to the total
+        share = np.divide(part, total, out=np.ones_like(part), where=total > 0.0)
+        smaller = correlation * share[:, :, None] * share[:, None, :]
+        smaller[:, range(4), range(4)] = 1.0
+        return np.asarray(smaller)
 
     def _listed(self, catalogue: Catalogue) -> OwnErrors:
         if (listed := catalogue.own_errors(self.side)) is None:

@@ -117,10 +117,9 @@ def _checked(one: Field[Any], value: Any) -> Any:
     if value == "none" and one.default in (None, ""):  # as results say it
         return one.default
     if kind == "vector" and isinstance(value, str):
-        numbers = [number(part) for part in value.split(",")]
-        if "TABLE" in metavar and any(isinstance(one, str) for one in numbers):
+        value = numbers(value) or value
+        if "TABLE" in metavar and isinstance(value, str):
             return value
-        value = numbers
     if kind in ("float", "int") and isinstance(value, str):
         value = number(value)
     return parameter(one).parse(value)
