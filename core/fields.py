@@ -104,15 +104,8 @@ def _multiples(highest: int, ra: Array) -> tuple[Array, Array]:
 
 
 def turned(fields: Array, out: Array | None = None) -> Array:
-    """Return fields (..., 2, N) turned by 90 deg from east through north: toroidal ones become spheroidal.
-
-    ``out`` may be the fields themselves.
-    """
-    vectors = np.empty_like(fields) if out is None else out
-    east = fields[..., 0, :].copy() if out is fields else fields[..., 0, :]
-    np.negative(fields[..., 1, :], out=vectors[..., 0, :])
-    vectors[..., 1, :] = east
-    return vectors
+    """Return fields (..., 2, N) turned by 90 deg from east through north: toroidal ones become spheroidal."""
+    return np.stack([-fields[..., 1, :], fields[..., 0, :]], axis=-2, out=out)
 
 
 Vector = tuple[float, float, float]

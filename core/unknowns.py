@@ -116,8 +116,7 @@ def _fields(parts: tuple[tuple[Kind, int], ...], objects: Objects) -> Array:
     ends = np.cumsum([2 * degree + 1 for _, degree in parts]).tolist()
     values = np.empty((ends[-1], 2, len(objects.ra)))
     place = dict(zip(parts, np.split(values, ends[:-1]), strict=True))
-    # without the toroidal field, the spheroidal one is turned in place
-    fields = {degree: place.get(("t", degree), place[kind, degree]) for kind, degree in parts}
+    fields = {degree: place.get(("t", degree), np.empty_like(place[kind, degree])) for kind, degree in parts}
     fill_toroidal(fields, objects.ra, objects.dec)
     for kind, degree in parts:
         if kind == "s":
