@@ -391,8 +391,7 @@ def find_matches(search: Search) -> SearchResult:
     positions = Positions(*map(np.concatenate, zip(*parts, strict=True)))
     supplement = np.repeat(np.arange(len(stars)) == 1, [len(table) for table in stars.values()])
     radii = search.said["radius"]
-    each = ((_positions(one), one["PGC"].to_numpy(), radii[name] * ARCSEC) for name, one in galaxies.items())
-    catalogues = [GalaxyCatalogue(*one) for one in each]
+    catalogues = [GalaxyCatalogue(_positions(t), t["PGC"].to_numpy(), radii[n] * ARCSEC) for n, t in galaxies.items()]
     with refused():
         return SearchResult(search, stars, galaxies, cross_match(positions, supplement, catalogues, asked))
 

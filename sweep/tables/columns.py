@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.sweep.contract import Array, Named, SweepError, suggest
+from linksweep.sweep.formatting import first_of
 from linksweep.sweep.tables.reader import BRACKETS, MISSING, read_table, readme_of
 
 Flags = NDArray[np.bool_]
@@ -147,14 +148,12 @@ def _plain(quantity: str) -> str:
 
 def rows_listed(bad: Flags, values: Any = None) -> str:
     """Return the first rows (from 1) where ``bad`` holds, with their values: '3 (95.2), 7 (91) and 2 more'."""
-    rows = np.flatnonzero(bad)
-    some = rows[:ROWS_NAMED]
-    if values is None:
-        shown = [str(row + 1) for row in some]
-    else:
-        texts = (f"{one:.10g}" if isinstance(one, float) else str(one) for one in (values[row] for row in some))
-        shown = [f"{row + 1} ({text})" for row, text in zip(some, texts, strict=True)]
-    return ", ".join(shown) + (f" and {len(rows) - ROWS_NAMED} more" if len(rows) > ROWS_NAMED else "")
+    rows, shown = np.flatnonzero(bad), []
+    for row in rows[:ROWS_NAMED].tolist():
+        value = "" if values is None else values[row]
+        text = f"{value:.10g}" if isinstance(value, float) else str(value)
+        shown.append(f"{row + 1} ({text})" if text else str(row + 1))
+    return first_of([*shown, *rows[ROWS_NAMED:]], ROWS_NAMED)
 
 
 class Columns:

@@ -499,9 +499,8 @@ def _from_arrow(arrow: Any, columns: Sequence[str] | None = None) -> Any:
             raise SweepError(f"has nulls in {', '.join(nulls)}, where astropy has masks: write it with astropy")
         pyarrow.parquet.write_table(arrow, source := io.BytesIO())
         return _by_astropy("parquet", source, include_names=columns)
-    decimals = [pyarrow.float64() if pyarrow.types.is_decimal(field.type) else field.type for field in arrow.schema]
-    plain = [kind.value_type if pyarrow.types.is_dictionary(kind) else kind for kind in decimals]
-    arrow = arrow.cast(pyarrow.schema([field.with_type(kind) for field, kind in zip(arrow.schema, plain, strict=True)]))
+    types = [pyarrow.float64() if pyarrow.types.is_decimal(field.type) else field.type for field in arrow.schema]
+    arrow = arrow.cast(pyarrow.schema([field.with_type(kind) for field, kind in zip(arrow.schema, types, strict=True)]))
     table = from_frame(arrow.to_pandas(types_mapper=pd.ArrowDtype))
     for field in arrow.schema:
         table[field.name].unit = (field.metadata or {}).get(b"unit", b"").decode() or None
