@@ -144,6 +144,8 @@ def _text(path: Path, content: bytes, texts: Collection[str]) -> Any:
         text = content.decode("latin-1")
     if not text.strip():
         raise SweepError("has no rows")
+    if text.startswith("\\"):
+        return _by_astropy("ascii.ipac", text)
     if "byte-by-byte description" in text[:100_000].lower():
         return _by_astropy("ascii.mrt", text.splitlines())
     if re.search(r"^ICRF J", text[:20_000], re.MULTILINE):
