@@ -2,15 +2,18 @@
 
 import gc
 import os
+import shutil
 import signal
 import subprocess
 import sys
 import warnings
 from contextlib import chdir
 from decimal import localcontext
+from functools import cache
 from pathlib import Path
 
 import pytest
+import threadpoolctl
 from click.testing import CliRunner
 from hypothesis import settings
 
@@ -22,6 +25,12 @@ from tests.tiers import ALL, PATIENCE_S, QUICK, examples
 
 gc.set_threshold(20_000)  # looking for garbage took a twentieth of the time
 os.fsync = lambda descriptor: None  # no test cuts the power, and waiting for the disk took a tenth
+# Every run looked through all libraries of the process: those that matter are there, and use one thread anyway.
+threadpoolctl.ThreadpoolController = cache(threadpoolctl.ThreadpoolController)
+
+# Files of tests are in memory, if there is much of it: the disk took a tenth. Those of tests that pass are removed.
+if Path("/dev/shm").is_dir() and shutil.disk_usage("/dev/shm").free > 2**32:
+    os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", "/dev/shm")
 
 # Memory that is given back to the system after each array and taken again costs more than what is computed in it.
 for _name in ("MALLOC_TRIM_THRESHOLD_", "MALLOC_MMAP_THRESHOLD_"):
