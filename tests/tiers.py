@@ -14,6 +14,11 @@ def slow(*values: Any) -> Any:
     return pytest.param(*values, marks=pytest.mark.slow)
 
 
+def few(number: int, values: Any) -> list[Any]:
+    """Return values of a parametrised test of which only the first ones are tried without ``--all``."""
+    return [slow(*(v if isinstance(v, tuple) else (v,))) if k >= number else v for k, v in enumerate(values)]
+
+
 def examples(number: int, quick: int | None = None) -> int:
     """Return how many examples a property test has that has this number of them with ``--all``."""
     return number if settings.get_current_profile_name() == ALL else quick or max(number // 5, 5)

@@ -32,9 +32,9 @@ PAPER = np.array([line.split() for line in TABLE_1.split("\n") if line], dtype=f
 
 @pytest.fixture(scope="module")
 def main_job(tmp_path_factory, pytestconfig):
-    """Run the command once, of a quarter of the catalogues in the quick tier; give its folder and what it printed."""
+    """Run the command once, of a tenth of the catalogues in the quick tier; give its folder and what it printed."""
     folder = tmp_path_factory.mktemp("main")
-    less = [] if runs_all(pytestconfig) else ["--set", "n_cat=25"]
+    less = [] if runs_all(pytestconfig) else ["--set", "n_cat=10"]
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("COLUMNS", "200")
         _, out, err = run_sweep("run", "quasars", *less, cwd=folder, code=0)

@@ -11,7 +11,7 @@ from hypothesis import given, settings, strategies as st
 import linksweep
 from linksweep import SweepError, find, fit_levelling, fit_power_law, interpolate, ratio
 from tests.sweep.analysis.made import DONE, EXCLUDED, FAILED, MISSING, N, grid
-from tests.tiers import examples, slow
+from tests.tiers import examples, few, slow
 
 V = np.arange(14.0, 20.1, 0.5)
 MET = ("never", "always", "from", "up to", "several times", "left out")
@@ -205,7 +205,7 @@ def test_what_has_no_place_and_no_errors_is_printed_without(tmp_path, sweep_here
 
 
 @pytest.mark.parametrize("noise", [slow(0.03), 0.1, slow(0.3), 0.5])
-@pytest.mark.parametrize("truth", [slow(1.5), 1.75, 2.0])
+@pytest.mark.parametrize("truth", few(1, [2.0, 1.75, 1.5]))
 def test_crossings_of_points_with_errors_of_any_size(noise, truth):
     """The noise, in steps of the axis, chooses the points on both sides; the truth is within two errors as often."""
     x = np.arange(5.0)
@@ -219,7 +219,7 @@ def test_crossings_of_points_with_errors_of_any_size(noise, truth):
         assert 0.955 - 4.0 * np.sqrt(0.955 * 0.045 / 400) < within < 0.999
 
 
-@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("mirrored", [slow(False), True])
 @pytest.mark.parametrize("noise", [slow(0.7), 1.4, slow(2.8)])
 def test_a_line_that_turns_back_at_the_limit_has_not_crossed_it(noise, mirrored):
     """The truth is near the last point, in steps of the axis, and noise crosses before; for most there is no error."""
@@ -247,7 +247,7 @@ def law(v, floor=0.55, size=0.13, rate=0.8):
     return np.sqrt(floor**2 + size * np.exp(-rate * (v - 14.0)))
 
 
-@pytest.mark.parametrize(("floor", "rate"), [(0.35, 0.05), (0.0, 0.3)])
+@pytest.mark.parametrize(("floor", "rate"), few(1, [(0.0, 0.3), (0.35, 0.05)]))
 def test_a_plateau_that_points_do_not_reach_is_within_its_errors(floor, rate):
     y = law(V, floor, 1.1, rate) * (1.0 + 0.02 * np.random.default_rng(25).standard_normal((40, len(V))))
     pulls = ((found := level_off(y, 0.02 * y))["plateau"] - floor) / found["plateau_error"]

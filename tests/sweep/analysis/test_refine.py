@@ -11,7 +11,7 @@ from hypothesis import given, settings as examples_of, strategies as st
 import linksweep
 from linksweep.sweep.contract import SweepError
 from tests.sweep.opening import Stopping, bare, files_of
-from tests.tiers import examples, slow
+from tests.tiers import examples, few, slow
 
 pytestmark = pytest.mark.usefixtures("here")
 ELEVEN = {"x": np.linspace(0.0, 1.0, 11)}
@@ -132,7 +132,7 @@ def test_a_point_gets_realisations_rather_than_neighbours_below_its_error_and_no
     assert float(linksweep.find(ds, "y_mean > 0", "x")["first_error"]) < 0.01  # values beside the limit come later
 
 
-@pytest.mark.parametrize(("axis", "most"), [([0.0, 0.425], 300), ([0.0, 0.425], 10**5), ([0.0, 0.425, 0.8], 10**5)])
+@pytest.mark.parametrize(("axis", "most"), [([0.0, 0.425], 300), ([0.0, 0.425, 0.8], 10**5)])
 def test_a_point_that_is_not_decided_gets_realisations_or_the_answer_says_so(axis, most):
     def peak(rng, x: float):
         return {"y": -0.0071 - abs(x - 0.425) + 0.1 * rng.normal()}
@@ -158,7 +158,7 @@ def test_points_whose_errors_are_not_known_get_realisations_and_no_neighbours():
         linksweep.refine(high, "q.zarr", find="y_max > 3", within=0.01, **goal)
 
 
-@pytest.mark.parametrize(("most", "spent"), [(1000, 1100), (1100, 1100), (1250, 1200), (1500, 1500)])
+@pytest.mark.parametrize(("most", "spent"), few(2, [(1000, 1100), (1250, 1200), (1100, 1100), (1500, 1500)]))
 def test_no_more_than_the_realisations_that_are_allowed_are_spent_on_new_points(most, spent):
     def wave(rng, x: float):
         return {"y": np.exp(3.0 * x) * np.sin(20.0 * x) + 1e-6 * rng.normal()}

@@ -286,7 +286,7 @@ def test_a_command_that_cannot_be_run_says_why(here, coin_store, decayed, comman
     "address", ["host", "nonsense://x:1", "tcp://", "tcp://:1", "tcp://127.0.0.1:1", slow("tcp://127.0.0.1:99999999")]
 )
 def test_bad_scheduler(here, monkeypatch, address):
-    monkeypatch.setattr("linksweep.sweep.executing.clusters.CONNECT_TIMEOUT_S", 1)
+    monkeypatch.setattr("linksweep.sweep.executing.clusters.CONNECT_TIMEOUT_S", 0.2)
     check_refused(here, ("run", "study.toml", "--scheduler", address), "no Dask scheduler answers", repr(address))
 
 

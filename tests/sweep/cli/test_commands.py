@@ -12,7 +12,7 @@ import pytest
 
 import linksweep
 from tests.conftest import main, run_sweep
-from tests.tiers import slow
+from tests.tiers import few, slow
 
 # Commands about a store of `quasars` and the tables that are built in, which print no table of axes of the user's
 PRINTING = ["list", "params", "plan quasars", "show quasars --at model=gaia", "status quasars", "compare quasars"]
@@ -40,7 +40,7 @@ def test_plan_writes_nothing(sweep, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("name", ODD)
+@pytest.mark.parametrize("name", few(4, ODD))
 def test_commands_that_are_printed_and_written_can_be_given(name, tmp_path):
     (tmp_path / "half.py").write_text("def half(a: int):\n    return 1 / (a - 2)\n")
     asked, new = ("half.py:half", "--axis", "a=1,2", "-o"), f"{name}.new"

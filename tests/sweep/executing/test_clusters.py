@@ -104,7 +104,7 @@ def test_a_dashboard_needs_bokeh(monkeypatch):
 
 @pytest.mark.parametrize("speaks", [False, True])
 def test_a_port_that_says_nothing_or_is_of_a_server_of_another_kind(monkeypatch, speaks):
-    monkeypatch.setattr(clusters, "CONNECT_TIMEOUT_S", 1)
+    monkeypatch.setattr(clusters, "CONNECT_TIMEOUT_S", 0.2)
 
     def speak(server):
         with suppress(OSError), server.accept()[0] as connection:

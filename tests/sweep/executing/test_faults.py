@@ -110,12 +110,12 @@ def test_a_worker_with_another_version_stops_the_run(start, link_study, tmp_path
     info = tmp_path / "shim" / "numpy-0.0.9.dist-info"
     info.mkdir(parents=True)
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: numpy\nVersion: 0.0.9\n")
-    outside.start_worker("--no-nanny")
     if later:
+        outside.start_worker("--no-nanny")
         process = start("--scheduler", outside.address)
     outside.start_worker("--no-nanny", PYTHONPATH=str(tmp_path / "shim"))
     if not later:
-        outside.wait_for_workers(2)
+        outside.wait_for_workers(1)
         process = start("--scheduler", outside.address, waits=False)
     err = to_its_end(process, 2)
     assert re.search(rf"(?m)^error: .*tcp://127.0.0.1:.*: numpy is {version('numpy')} here, 0.0.9 there$", err)

@@ -104,6 +104,7 @@ def test_a_point_that_ends_its_process_once_is_computed_again_whatever_others_di
     assert run(f, tmp_path / "s.zarr", axes={"x": range(40)}).f.values.tolist() == list(range(40))
 
 
+@pytest.mark.slow
 def test_of_points_that_share_random_numbers_the_one_that_ends_its_process_fails_alone(tmp_path):
     code = (Path(__file__).parents[1] / "spread.py").read_text()
     ends = "    import os\n    any(p['x'] == 1.0 for p in points) and os._exit(3)\n"
@@ -196,6 +197,7 @@ def test_no_process_of_a_run_imports_what_lies_in_the_present_folder(tmp_path, w
     assert not (tmp_path / "marks").exists(), (tmp_path / "marks").read_text()
 
 
+@pytest.mark.slow
 def test_a_script_by_standard_input_computes_in_worker_processes(tmp_path):
     how = {"cwd": tmp_path, "capture_output": True, "text": True}
     done = subprocess.run([sys.executable, "-"], input=SCRIPT, check=False, **how)
@@ -245,27 +247,22 @@ def test_a_child_that_a_function_forks_and_forgets_does_not_go_on_with_the_run(t
     assert [marks.count(x) for x in "23"] == [1, 1]
 
 
-@pytest.mark.parametrize("change", CHANGES)
 @pytest.mark.parametrize("options", [slow({"pool": "serial"}), slow({"pool": "threads", "workers": 1}), {}], ids=str)
-def test_what_a_point_changes_is_put_back_for_the_others(change, options, here):
-    change_it, look = CHANGES[change]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        expected = look()
-
+def test_what_a_point_changes_is_put_back_for_the_others(options, here):
     def f(x: float):
         if x in (1.0, 4.0):
-            change_it()
+            for change, _ in CHANGES.values():
+                change()
             return "changed"
-        return look()
+        return " ".join(look() for _, look in CHANGES.values())
 
     def outside():  # threads of Dask draw from the generators
         generators = random.getstate(), np.random.get_state()[1].tolist()  # noqa: NPY002
         return os.getcwd(), dict(os.environ), sys.stderr, generators if options.get("pool") != "threads" else ()
 
-    before = outside()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
+        before, expected = outside(), f(0.0)
         ds = run(f, "s.zarr", axes={"x": [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]}, **options)
     assert ds.f.values.tolist() == [expected, "changed", expected, expected, "changed", expected]
     assert (before, (here / "s.zarr").is_dir()) == (outside(), True)

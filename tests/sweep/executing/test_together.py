@@ -12,6 +12,7 @@ import pytest
 import linksweep
 from tests.sweep.coins import experiment, toss
 from tests.sweep.opening import same
+from tests.tiers import few
 
 MOST = 256  # most catalogues in one call
 CALLS = []
@@ -62,7 +63,7 @@ WRONG = [raising, lambda *_: sys.exit(3), lambda *_: None]
 WRONG += [other(lambda values: values[:-1]), other(lambda values: np.nan * values)]
 
 
-@pytest.mark.parametrize("wrong", WRONG)
+@pytest.mark.parametrize("wrong", few(2, WRONG[1:] + WRONG[:1]))
 def test_where_that_fails_catalogues_are_evaluated_one_by_one(wrong, caplog):
     same(results(wrong, 40), results(None, 40))
     assert "tried" not in caplog.text  # what was printed in vain is not kept
@@ -79,7 +80,7 @@ def failed(of_all, store, **declared):
     return int((dataset.status == 2).sum()), next(iter(json.loads(dataset.attrs["failures"]).values()), "")
 
 
-@pytest.mark.parametrize("of_all", OTHERS)
+@pytest.mark.parametrize("of_all", few(5, OTHERS[::-1]))
 def test_what_depends_on_the_others_fails_with_both_values(of_all, tmp_path):
     number, message = failed(of_all, tmp_path / "s.zarr", outputs=ANY)
     assert number >= 290
@@ -87,12 +88,12 @@ def test_what_depends_on_the_others_fails_with_both_values(of_all, tmp_path):
     assert there != alone
 
 
-@pytest.mark.parametrize("of_all", OWN)
+@pytest.mark.parametrize("of_all", few(5, OWN[::-1]))
 def test_what_does_not_is_kept(of_all, tmp_path):
     assert failed(of_all, tmp_path / "s.zarr", outputs=ANY) == (0, "")
 
 
-@pytest.mark.parametrize(("apart", "tolerance"), [(1e-3, 0.01), (1e-9, 1e-8), (1e-11, 1e-10)])
+@pytest.mark.parametrize(("apart", "tolerance"), few(1, [(1e-3, 0.01), (1e-9, 1e-8), (1e-11, 1e-10)]))
 def test_how_far_results_may_differ_is_declared(apart, tolerance, tmp_path):
     def solver(x):
         return x * (1.0 + apart / len(x))

@@ -7,15 +7,16 @@ import xarray as xr
 import linksweep
 from linksweep import Output, SweepError, experiment
 from tests.sweep.opening import same
+from tests.tiers import few
 
 KEPT = {"n_sim": 1200, "seed": 3, "keep_samples": True}  # three blocks
 OUTPUTS = [Output("wait", "s", statistics=["mean", "std", "q90", "max"]), Output("pair", dims="k")]
 A = [1.0, 2.0, 4.0, 7.0]
 LAID_OUT = {
-    "numbers": ("a", {"axes": {"a": A}}),
+    "conditional": ("a", {"axes": {"kind": ["x", "y"], "a": A}, "when": {"a": {"kind": ["x"]}}}),
     "texts": ("kind", {"axes": {"a": A[:2], "kind": ["x", "xy", "xyz", ""]}}),
     "zipped": ("b", {"axes": {"a": A, "b": range(4)}, "grid": {"zip": [["a", "b"]]}}),
-    "conditional": ("a", {"axes": {"kind": ["x", "y"], "a": A}, "when": {"a": {"kind": ["x"]}}}),
+    "numbers": ("a", {"axes": {"a": A}}),
     "a table": ("a", {"points": {"a": A, "kind": ["x", "xy", "x", "xy"]}}),
 }
 
@@ -52,6 +53,7 @@ def test_realisations_are_those_behind_the_statistics(tmp_path):
         sweep(queue, tmp_path / "s", {"n_sim": 1200, "seed": 3}, gain=[1.0])
 
 
+@pytest.mark.slow
 def test_realisations_may_be_large(tmp_path):
     images = experiment(outputs=[Output("n", statistics="mean")])(lambda rng: {"n": rng.poisson(1.0, (800, 800))})
     ds = sweep(images, tmp_path / "s", KEPT | {"n_sim": 3})
@@ -82,7 +84,7 @@ def turns(rng, n_sim, a: float = 1.0, b: int = 0, kind: str = "x"):
     return {"y": 10.0 + a + np.cos(a + b) * common + np.sin(a + len(kind)) * own}
 
 
-@pytest.mark.parametrize("layout", LAID_OUT)
+@pytest.mark.parametrize("layout", few(2, LAID_OUT))
 def test_points_that_are_cut_or_sorted_have_the_errors_that_they_had(tmp_path, layout):
     axis, study = LAID_OUT[layout]
     linksweep.run({"experiment": turns, "sampling": {"n_sim": 512 * 6}, **study}, tmp_path / "s", pool="serial")

@@ -13,6 +13,7 @@ from scipy.signal.windows import kaiser
 
 import linksweep
 from linksweep import Output, Parameter, SweepError, experiment, load_study, run
+from tests.tiers import few
 
 TITLES = [*(("A cup of coffee that cools.", "Coffee", "Coffee"), ("In $x_$.", None, "In $x_$"), (None, None, "f"))]
 TITLES += [("A cup of coffee that cools.\n\n    The room has 20 degrees.\n", None, "A cup of coffee that cools")]
@@ -69,7 +70,7 @@ def test_name_type_default_unit_meaning_and_bounds():
             load_study(f"{__file__}:several", [f"{name}={wrong}"], [] if name == "beta" else ["beta=1"])
 
 
-@pytest.mark.parametrize("annotation", NUMBERS, ids=str)
+@pytest.mark.parametrize("annotation", few(6, NUMBERS[::-2] + NUMBERS[-2::-2]), ids=str)
 def test_what_may_be_a_number_can_be_one(annotation, tmp_path):
     def double(x=2.0 if annotation == CHOICE else 2):
         return -1.0 if x is None else 2 * x

@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from linksweep import Output, experiment, run
-from tests.tiers import slow
+from tests.tiers import few, slow
 
 LAWS = {"normal": stats.norm(3.0, 1.0), "exponential": stats.expon(), "lognormal": stats.lognorm(1.0)}
 LAWS |= {"uniform": stats.uniform(), "gamma": stats.gamma(3.0), "gumbel": stats.gumbel_r(), "Laplace": stats.laplace()}
@@ -131,7 +131,7 @@ def test_rare_truth_values_have_an_error_and_alike_numbers_have_none_that_is_kno
         assert (np.isfinite(error).tolist(), error[5] > 0.0) == ([False] * 5 + [True], True)
 
 
-@pytest.mark.parametrize(("name", "fewest"), [("mean", 5), ("std", 50), ("median", 6), ("q95", 74), ("q99.9", 3782)])
+@pytest.mark.parametrize(("name", "fewest"), [("mean", 5), ("std", 50), ("q95", 74), slow("q99.9", 3782)])
 def test_the_fewest_realisations_that_have_an_error(name, fewest):
     values = drawn(LAWS["normal"], fewest, 2)
     (_, error), said = measured(values, name)
@@ -167,7 +167,7 @@ def test_numbers_of_several_blocks_are_those_of_numpy_also_far_from_zero():
     assert np.isnan(one("std", values[:1])[0]).all()
 
 
-@pytest.mark.parametrize("scale", [1e-200, 1e-72, 1e-56, 1e44, 1e52, 1e72])
+@pytest.mark.parametrize("scale", few(3, [1e-200, 1e-56, 1e72, 1e-72, 1e44, 1e52]))
 def test_errors_are_in_proportion_to_the_numbers_or_not_known(scale):
     values, names = drawn(LAWS["exponential"], 400, 3), ("mean", "std", "median")
     *plain, _ = measured(values, *names)
@@ -177,7 +177,7 @@ def test_errors_are_in_proportion_to_the_numbers_or_not_known(scale):
         np.testing.assert_allclose(error / scale, np.where(unknown, np.nan, expected), rtol=1e-9)
 
 
-@pytest.mark.parametrize("n", [5, 6, 8, 12])
+@pytest.mark.parametrize("n", few(2, [5, 12, 6, 8]))
 def test_means_of_few_normal_realisations_have_errors_as_of_students_t(n):
     """The scatter of (mean - truth)/error is that of t with n - 1 degrees of freedom, scaled to variance one."""
     value, error = one("mean", drawn(LAWS["normal"], n, 20_000))

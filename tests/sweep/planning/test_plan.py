@@ -16,7 +16,7 @@ from linksweep.sweep.planning.grid import make_grid
 from linksweep.sweep.planning.plan import Plan
 from linksweep.sweep.studies.reader import load_study, study_from_dict
 from tests.conftest import COINS
-from tests.tiers import examples, slow
+from tests.tiers import examples, few, slow
 
 PER_CENT = {  # relative errors of results, all of which are one
     "a": lambda n: np.sqrt(150.0 / n),
@@ -168,7 +168,7 @@ def pending_points(count):
 
 
 @pytest.mark.parametrize("workers", [slow(1), 4, slow(16)])
-@pytest.mark.parametrize("seconds", [1e-5, 1e-3, 0.02, 0.5, 30.0])
+@pytest.mark.parametrize("seconds", few(3, [1e-5, 0.02, 30.0, 1e-3, 0.5]))
 def test_tasks_are_of_about_a_second_and_enough_for_all(seconds, workers):
     """Whatever the experiment declares as its cost: here one random number for each realisation."""
     tasks = tasks_of(pending_points(5000), lambda point: seconds, workers)

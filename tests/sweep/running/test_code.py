@@ -15,7 +15,7 @@ from linksweep.sweep.code import PREFIX
 from tests.sweep.layouts import ENDS, LINKS, Layout
 from tests.sweep.opening import files_of
 from tests.sweep.user import write_experiment, write_study
-from tests.tiers import examples, slow
+from tests.tiers import examples, few, slow
 
 HELPED = {"before": "import helper\n", "evaluate": '{"total": [n_sim * helper.value(p["rate"]) for p in points]}'}
 CHANGES = {  # of a file: a text, the other, and what should be named
@@ -23,7 +23,8 @@ CHANGES = {  # of a file: a text, the other, and what should be named
     "default": ("user.py", '"kind", "int", 0', '"kind", "int", 7', "default of kind is 0 in the store, 7 now"),
     "deeper": ("deeper.py", "1.0", "100.0", "value deeper.FACTOR ({folder}/deeper.py, line 1) is 1.0"),
 }
-RESULTS = [["str(x)", "{'a': x}", "{'b': str(x), 'c': x}"], ["1 / (x - 1)", "1 / (x + 2)"], ["int(x)", "x / 2"]]
+RESULTS = [["str(x)", "{'a': x}", "{'b': str(x), 'c': x}"], ["1 / (x - x)", "str(x)", "x"], ["int(x)", "x / 2"]]
+RESULTS += [["1 / (x - 1)", "1 / (x + 2)"], ["x", "str(x)", "[x, x]"]]
 IMPORTS = ["from m import V", "from m import V as W", "from between import *", "def g():\n    from m import V"]
 USES = [  # a value of a module, another one, and what a function does with it
     ("{'k': 3}", "{'k': 4}", "V[x] = x"),
@@ -36,7 +37,7 @@ EQUAL += [("np.array([[0.0, 1.0], [2.0, 3.0]])", "np.array([[0.0, 2.0], [1.0, 3.
 COUNTED = [*((IMPORTS[0], *pair, "copy.deepcopy(V)") for pair in EQUAL), ("import m", "3", "4", "getattr(m, 'V')")]
 COUNTED += [(statement, *use) for use in USES for statement in IMPORTS]
 COUNTED += [("from m import *", "3", "4", body) for body in ("eval('V')", "globals()['V']")]
-COUNTED[1:2], COUNTED[5:] = [slow(*COUNTED[1])], [slow(*one) for one in COUNTED[5:]]
+COUNTED = few(2, [COUNTED[2], *COUNTED[3:], *COUNTED[:2]])
 LATE = """
 import helper
 def total(points, n_sim):
@@ -145,7 +146,7 @@ def test_points_at_a_default_are_never_taken_for_those_at_another(tmp_path, swee
     assert linksweep.open(tmp_path / "s.zarr").f.values.tolist() == [[102.0, 103.0], [202.0, 203.0]]
 
 
-@pytest.mark.parametrize("results", [*RESULTS, ["x", "str(x)", "[x, x]"], ["1 / (x - x)", "str(x)", "x"]], ids=str)
+@pytest.mark.parametrize("results", few(2, RESULTS), ids=str)
 def test_where_all_points_are_computed_again_results_may_be_others(tmp_path, sweep, results):
     for result in results:
         (tmp_path / "m.py").write_text(f"def f(x: float):\n    return {result}\n")
@@ -232,7 +233,7 @@ def check(layout, folder):
 
 
 @given(seed=st.integers(0, 10**6))
-@settings(max_examples=examples(25, quick=3), derandomize=True)
+@settings(max_examples=examples(25, quick=1), derandomize=True)
 def test_in_any_layout_other_code_is_refused_and_the_same_is_not(tmp_path_factory, seed):
     check(Layout(seed), tmp_path_factory.mktemp("layout"))
 
@@ -257,7 +258,7 @@ def test_a_module_that_a_function_imports_by_a_name_counts(tmp_path, call):
 
 
 # What a script does with its module h, and what is named
-@pytest.mark.parametrize(("change", "named"), [*[*NAMED.items()][:2], *(slow(*one) for one in [*NAMED.items()][2:])])
+@pytest.mark.parametrize(("change", "named"), few(1, [*NAMED.items()][::-1]))
 def test_attributes_count_as_they_are_when_the_run_starts(tmp_path, monkeypatch, change, named):
     (tmp_path / "h.py").write_text(H)
     monkeypatch.syspath_prepend(tmp_path)

@@ -19,7 +19,7 @@ import linksweep
 from linksweep import Limits, Output, SweepError, experiment
 from tests.sweep.opening import dying, same, until_done
 from tests.sweep.outside import Outside
-from tests.tiers import examples, slow
+from tests.tiers import examples, few, slow
 
 NUMBER = st.integers(-3, 3) | st.integers(-(2**53), 2**53) | st.sampled_from([0.0, -0.0, 0.5, 1e300, np.float32(0.1)])
 SEVERAL = st.one_of(*(st.lists(one, min_size=2, max_size=2) for one in (st.integers(-5, 5), st.floats(-1, 1))))
@@ -127,7 +127,7 @@ def plain(value):
     return value if np.ndim(value) or not hasattr(value, "item") else value.item()
 
 
-@settings(max_examples=examples(30))
+@settings(max_examples=examples(30, quick=3))
 @given(values=st.lists(VALUES, min_size=2, max_size=6), data=st.data())
 def test_integers_and_floats_are_joined_whatever_the_order_and_the_runs(tmp_path_factory, values, data):
     def numbers(k: int):
@@ -187,7 +187,7 @@ def digests(store):
     return {file.relative_to(store): file.read_bytes() for file in files}
 
 
-@pytest.mark.parametrize("options", [{"pool": "threads", "workers": 2}, {"workers": 2}, {"limits": Limits(60.0)}])
+@pytest.mark.parametrize("options", few(1, [{"workers": 2}, {"pool": "threads", "workers": 2}, {"limits": Limits(60)}]))
 def test_who_writes_large_arrays_changes_no_bit_and_they_are_stored_once(options, small, tmp_path):
     axes = {"a": range(3), "b": [0, 2]}
     serial = linksweep.run(picture, tmp_path / "serial.zarr", axes=axes, pool="serial", max_failures="100%")

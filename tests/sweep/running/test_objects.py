@@ -18,7 +18,7 @@ from hypothesis import given, settings, strategies as st
 import linksweep
 from linksweep import SweepError
 from tests.sweep.opening import OpenStore, merge
-from tests.tiers import examples, slow
+from tests.tiers import examples, few, slow
 
 PLAIN = st.one_of(st.none(), st.booleans(), st.floats(1, 9), st.text("abc", max_size=3))
 WRONG = ({"gam": {"kernel": ["rbf"]}}, {"gamma": {"kernl": ["rbf"]}}, {"gamma": {"kernel": "rbf"}}, {"gamma": ["rbf"]})
@@ -54,6 +54,7 @@ UNTOLD += [({"thing": {"one": Net(1), "two": Net(1)}}, "duplicate values 'one'")
 UNTOLD += [({"thing": [1], "x": [None]}, "x = None: must be a number")]
 UNTOLD += [({"thing": numbers}, str(numbers[0])) for numbers in ([2**53 + 1, 0.5], [2, 2.0], [1, 1.0000000000000002])]
 LABELS = {"RED": Colour.RED, "sin": np.sin, "(1, 'a')": (1, "a")}
+ALIKE = [[0, False, "no"], [*LABELS.values()], [0, False, 1, True, "no"], [True, 1], [1.0, False]]
 FEW = (
     *(None, True, 1, 2.5, "a", 1j, (1, "b"), [1, 2], {"k": (1,)}, frozenset({1}), Colour.RED, Colour.BLUE, Size(3)),
     *(double, Net, np.arange(3), datetime.date(2026, 1, 1), np.datetime64("2026-01-02"), Path("a/b")),
@@ -85,7 +86,7 @@ BESIDE = st.lists(st.tuples(st.sampled_from([{}, {"(0,)": (0,)}]), st.booleans()
 
 
 @given(st.lists(THINGS, min_size=1, max_size=6, unique_by=repr), st.integers(1, 6), st.randoms(), BESIDE)
-@settings(max_examples=examples(15), derandomize=True)
+@settings(max_examples=examples(15, quick=2), derandomize=True)
 def test_what_is_there_under_a_label_is_not_computed_again(tmp_path_factory, things, some, seed, beside):
     calls, expected = [], dict[tuple[str, str], str]()
 
@@ -271,7 +272,7 @@ RUNS = st.tuples(studies(*KINDS, "columns"), studies(*KINDS))
 
 
 @given(RUNS, st.fixed_dictionaries({}, optional=CONDITIONS), st.just([]) | SUBSETS["b"])
-@settings(max_examples=examples(25), derandomize=True)
+@settings(max_examples=examples(25, quick=2), derandomize=True)
 def test_conditions_of_any_depth_hold_at_each_point_wherever_its_values_come_from(tmp_path_factory, runs, when, no_b):
     store, expected = tmp_path_factory.mktemp("when") / "s.zarr", dict[tuple, str]()
     for number, (study, points) in enumerate(runs):
@@ -302,7 +303,7 @@ def test_conditions_of_any_depth_hold_at_each_point_wherever_its_values_come_fro
             linksweep.run(runs[1][0] | {"experiment": chained, "when": {**when, "b": {"a": ["w"]}}}, store)
 
 
-@pytest.mark.parametrize("axis", [[0, False, 1, True, "no"], slow([True, 1]), [1.0, False], [*LABELS.values()]])
+@pytest.mark.parametrize("axis", few(2, ALIKE))
 def test_conditions_tell_values_from_others_that_are_alike_and_objects_by_their_labels_too(tmp_path, axis):
     rows = linksweep.run(lambda k: repr(k) + "", tmp_path / "t", points={"k": [*axis, axis[0]]}, pool="serial")
     assert rows.result.values.tolist() == list(map(repr, [*axis, axis[0]]))
@@ -341,7 +342,7 @@ def test_only_the_script_tries_failed_points_of_its_objects_again(here, sweep):
 
 
 @given(runs=st.lists(st.tuples(st.booleans(), NUMBERS), max_size=4))
-@settings(max_examples=examples(40), derandomize=True)
+@settings(max_examples=examples(40, quick=3), derandomize=True)
 def test_equal_numbers_are_one_point_of_the_type_that_came_first(tmp_path_factory, runs):
     store, first, rows = tmp_path_factory.mktemp("numbers") / "s.zarr", dict[float, int | float](), list[float]()
     for is_table, some in runs:
@@ -356,7 +357,7 @@ def test_equal_numbers_are_one_point_of_the_type_that_came_first(tmp_path_factor
         assert sorted(shown) == sorted((value, repr(one)) for value, one in first.items())
 
 
-@pytest.mark.parametrize("more", [["--axis", "x=0,2,1.5"], ["--points", "x.csv"]])
+@pytest.mark.parametrize("more", [slow(["--axis", "x=0,2,1.5"]), ["--points", "x.csv"]])
 def test_the_numbers_of_a_point_do_not_depend_on_the_others(tmp_path, sweep, more):
     (tmp_path / "m.py").write_text("def draw(rng, x):\n    return {'drawn': rng.normal(), 'power': x**30 % 7}\n")
     (tmp_path / "x.csv").write_text("x\n0\n2\n")
@@ -375,7 +376,7 @@ MEMBERS = [("m", [*Level, 3], ["LOW", "HIGH", "3"]), ("m: Level = Level.LOW", [*
 MEMBERS += [("m", [*Word, "None"], ["YES", "None"]), ("m: int", [*Level], [1, 2]), ("m: str", [*Word], ["y"])]
 
 
-@pytest.mark.parametrize(("declared", "values", "labels"), MEMBERS)
+@pytest.mark.parametrize(("declared", "values", "labels"), few(3, MEMBERS))
 def test_members_of_enumerations_of_numbers_and_texts_are_what_they_are(tmp_path, declared, values, labels):
     names = {"Level": Level}
     exec(f"def kind({declared}):\n    return type(m).__name__", names)
@@ -398,7 +399,7 @@ def test_objects_of_other_runs_are_never_computed_without_their_script(here, swe
     assert linksweep.open("f.zarr").f.values.tolist() == ["((1, 'a'), 2)", "(1, 2)", "(2, 2)"]
 
 
-@pytest.mark.parametrize("rows", [ROWS, xr.DataArray(ROWS), pd.DataFrame(ROWS), np.ma.array(ROWS), Column(ROWS)])
+@pytest.mark.parametrize("rows", few(2, [f(ROWS) for f in (np.array, pd.DataFrame, xr.DataArray, np.ma.array, Column)]))
 def test_rows_of_an_array_are_arrays_as_one_by_one(rows, tmp_path):
     places = ({"axes": {"p": rows}}, {"axes": {"p": {"values": rows}}}, {"points": {"p": rows}})
     for place in (*places, {"points": {"columns": {"p": rows}}}, {"points": Table({"p": rows})}):

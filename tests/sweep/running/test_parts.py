@@ -194,6 +194,7 @@ def test_a_part_that_is_running_is_left_out_and_named(three, tmp_path, sweep):
     assert "lost_parts" not in merge(three, tmp_path / "s").attrs
 
 
+@pytest.mark.slow
 def test_results_that_differ_in_kind_between_parts_fail_as_in_one_run(tmp_path):
     text = "def f(k: int = 1):\n    y = 2**60 + k if k == 2 else k / 2 if k % 2 else k\n"
     (tmp_path / "f.py").write_text(f"{text}    return {{'y': y, 'z': 1}} if k == 6 else {{'y': y}}\n")

@@ -13,7 +13,7 @@ from hypothesis import given, settings, strategies as st
 import linksweep
 from linksweep import SweepError
 from tests.sweep.opening import POINT, POINT_TABLE, OpenStore, merge, same
-from tests.tiers import examples, slow
+from tests.tiers import examples, few, slow
 
 LINK = {"experiment": "linksweep.core.experiment:link", "sampling": {"n_sim": 60, "n_cat": 3, "seed": 8}}
 STARS = {"x": [1.0, 2.0, 2.0], "star": ["Sirius", None, "Vega"], "hd": [48915, 2**62, 172167]}
@@ -131,7 +131,7 @@ def noisy(x: float, k: int = 1, *, rng):
     return {"y": k * x + rng.normal()}
 
 
-@pytest.mark.parametrize("form", ["mapping", "levels", "file", *map(slow, ("frame", "index", "table"))])
+@pytest.mark.parametrize("form", few(2, ["levels", "file", "mapping", "frame", "index", "table"]))
 def test_labels_are_coordinates_along_points_and_change_no_number(tmp_path, form):
     store, rows, labels = tmp_path / "s.zarr", STARS, ["star", "hd"]
     if form in ("frame", "index", "levels"):

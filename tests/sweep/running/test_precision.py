@@ -11,11 +11,11 @@ import linksweep
 from linksweep import Output, experiment
 from linksweep.sweep.analysis.quantity import standard_error
 from tests.sweep.opening import OpenStore, Silent, Stopping, same
-from tests.tiers import slow
+from tests.tiers import few, slow
 
 PRECISE, MANY, WIDE = {"n_sim": 64, "precision": 0.05}, {"n_sim": 700}, ("q95", "std", "median")
 COARSE = {"n_sim": 500, "precision": 0.2}
-OTHERS = [(MANY, PRECISE), (PRECISE, COARSE), *(slow(PRECISE, one) for one in ({"n_sim": 100}, MANY))]
+OTHERS = few(1, [(MANY, PRECISE), *((PRECISE, one) for one in (COARSE, {"n_sim": 100}, MANY))])
 
 
 @experiment(outputs=[Output("level", statistics=["mean"])])
@@ -184,7 +184,7 @@ def moments(x: float, rng: np.random.Generator, n_sim: int):
     return {"y": rng.normal(x, 2.0, n_sim), "late": rng.exponential(size=n_sim)}
 
 
-@pytest.mark.parametrize("sampling", [{"n_sim": 5120}, {"n_sim": 64, "precision": 0.05}], ids=["number", "precision"])
+@pytest.mark.parametrize("sampling", [slow({"n_sim": 5120}), {"n_sim": 64, "precision": 0.05}], ids=str)
 def test_values_so_far_are_those_of_the_first_realisations(tmp_path, sampling):
     study = {"axes": {"x": [1.0, 2.0, 3.0]}, "sampling": {"seed": 3, **sampling}}
     ds = stopped(moments, tmp_path / "s.zarr", 2.0 if "precision" in sampling else 0.4, **study)
@@ -196,7 +196,7 @@ def test_values_so_far_are_those_of_the_first_realisations(tmp_path, sampling):
             np.testing.assert_array_equal(ds[name].sel(x=x), alone[name].sel(x=x), name)
 
 
-@pytest.mark.parametrize(("copies", "blocks", "share"), [(200, 4, 0.3), slow(1500, 16, 0.1), slow(1500, 8, 0.5)])
+@pytest.mark.parametrize(("copies", "blocks", "share"), [(100, 4, 0.3), slow(1500, 16, 0.1), slow(1500, 8, 0.5)])
 def test_errors_of_values_so_far_of_a_function_cover(tmp_path, copies, blocks, share):
     x = np.arange(1.0, copies + 1.0)
     ds = stopped(moments, tmp_path / "s.zarr", share, axes={"x": x}, sampling={"n_sim": blocks * 512, "seed": 5})
@@ -239,6 +239,7 @@ def test_half_a_run_covers_all_axes(tmp_path, shape):
         assert gaps.max() <= 3, gaps
 
 
+@pytest.mark.slow
 def test_memory_bounds_how_many_points_keep_their_realisations(tmp_path, monkeypatch):
     study = {"axes": {"x": np.arange(1.0, 9.0)}, "sampling": {"n_sim": 2048, "seed": 3}}
     whole = linksweep.run(moments, tmp_path / "a.zarr", pool="serial", **study)

@@ -21,7 +21,7 @@ from linksweep.sweep.running.progress import FIRST, FailureCount, MaxFailures
 from linksweep.sweep.running.run import TooManyFailuresError
 from linksweep.sweep.studies.reader import study_of_function
 from tests.sweep.opening import SERIAL, check, files_of, make_grid, open_dataset, run_study, status_report
-from tests.tiers import PATIENCE_S, slow
+from tests.tiers import PATIENCE_S, few, slow
 
 ENDS = [("False", (), 0), ("x == 2.0", (), 1), ("x == 2.0", ("--set", "n_sim=1500"), 1)]
 ENDS += [("x > 0.0 and y", ("--axis", "y=0,1", "--max-failures", "2"), 1)]
@@ -110,7 +110,7 @@ def test_a_finished_run_writes_what_is_not_as_it_would_write_it_once(tmp_path, c
         assert str(store) in (store / "zarr.json").read_text()
 
 
-@pytest.mark.parametrize("asked", ["many --axis x=0:3", "many --axis x=2", "noisy --axis x=0:2 --set n_sim=5"])
+@pytest.mark.parametrize("asked", few(2, ["many --axis x=0:3", "noisy --axis x=0:2 --set n_sim=5", "many --axis x=2"]))
 def test_a_run_prints_what_the_dataset_in_its_store_says(tmp_path, sweep, asked):
     (tmp_path / "models.py").write_text(MODELS)
     command = ("run", *f"models.py:{asked} -o s.zarr".split())
@@ -171,7 +171,7 @@ def test_on_a_terminal_the_bar_shows_the_time_left(link_study, tmp_path, start_s
     assert re.search(r"of the work\), about \d+ s left, \d", re.sub(r"\x1b\[[\d;?]*[A-Za-z]", "", shown))
 
 
-@pytest.mark.parametrize(("fails", "options", "wanted"), ENDS)
+@pytest.mark.parametrize(("fails", "options", "wanted"), few(2, ENDS[::-1]))
 def test_counts_of_events_are_those_of_the_store(run_f, tmp_path, fails, options, wanted):
     def run_with_events(*more):
         code = run_f(*options, *more, "--events", "e.jsonl", fails=fails)[0]
@@ -233,7 +233,7 @@ def test_a_notebook_does_not_call_a_run_with_failures_done(tmp_path, monkeypatch
     assert shown[-1].endswith("1/1 points, done")
 
 
-@pytest.mark.parametrize("pool", [("--pool", "serial"), (), THREADS, slow(("--workers", "2")), slow(LIMITS)], ids=str)
+@pytest.mark.parametrize("pool", [("--pool", "serial"), (), *map(slow, (THREADS, ("--workers", "2"), LIMITS))], ids=str)
 @pytest.mark.parametrize("name", ["never", slow("random_never")])
 def test_a_run_whose_first_points_all_fail_alike_stops_and_goes_on_where_it_stopped(folder, sweep_here, name, pool):
     command = ("run", f"f.py:{name}", "--axis", "x=0:99:1", "-o", "s.zarr", *pool)
@@ -249,7 +249,7 @@ def test_a_run_whose_first_points_all_fail_alike_stops_and_goes_on_where_it_stop
     assert status_report("s.zarr")["points"] == {"missing": 0, "done": 0, "failed": 100, "excluded": 0}
 
 
-@pytest.mark.parametrize(("most", "failed"), [(0, 1), (7, 8), ("7", 8), ("30%", None), ("100 %", 50)])
+@pytest.mark.parametrize(("most", "failed"), few(3, [(0, 1), ("30%", None), ("100 %", 50), (7, 8), ("7", 8)]))
 def test_the_most_failures_that_are_allowed(tmp_path, most, failed):
     def late(x: int):
         return 1 // (x % 2 == 0)  # the values between come last

@@ -156,7 +156,7 @@ def damages(files, earlier, step, trials):
         yield False, damage(rng, files, earlier)
 
 
-@pytest.mark.parametrize(("step", "trials"), [(17, 5), slow(1, 40)])
+@pytest.mark.parametrize(("step", "trials"), [(17, 3), slow(1, 40)])
 def test_whatever_happens_to_its_files_is_named_and_mended(history, step, trials, sweep):
     document, store, writings, wanted = history
     files, used = writings[-1], in_use(store)
@@ -294,7 +294,7 @@ COMMANDS = [
 ]
 
 
-@pytest.mark.parametrize("trials", [4, slow(200)])
+@pytest.mark.parametrize("trials", [2, slow(200)])
 def test_every_command_gives_a_sentence_about_a_forged_document(here, sweep_here, trials):
     Path("model.py").write_text(MODEL)
     linksweep.run("model.py:model", "s.zarr", axes={"x": [1.0, 2.0], "k": [1, 2]}, pool="serial")

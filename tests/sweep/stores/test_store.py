@@ -232,7 +232,7 @@ def test_a_full_disk_keeps_what_was_finished(disk, tmp_path, coins, monkeypatch)
 
 
 @pytest.mark.parametrize("step", [3, slow(1)])
-@pytest.mark.parametrize("is_written", [False, True])
+@pytest.mark.parametrize("is_written", [slow(False), True])
 def test_where_a_file_cannot_be_written_none_counts_as_lost(tmp_path, coins, monkeypatch, is_written, step):
     document = coins | {"axes": {"coins": [1, 5]}, "sampling": {"n_sim": 100, "n_cat": 5, "seed": 7}}
     wanted, put, left = run(document, tmp_path / "wanted.zarr"), Folder.put, [10**9]

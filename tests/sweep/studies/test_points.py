@@ -13,7 +13,7 @@ from astropy.utils.masked import Masked
 from scipy.stats import binomtest
 
 from linksweep import Parameter, SweepError, experiment, run
-from tests.tiers import slow
+from tests.tiers import few
 
 Beta = Annotated[float, Parameter("rate", unit="1/d", above=0)]
 Distance = Annotated[float, Parameter("distance", unit="m")]
@@ -69,7 +69,7 @@ def problems_of(read):
     return problems_of
 
 
-@pytest.mark.parametrize("kind", ["csv", "parquet", "ecsv", "frame", "arrays", "table"])
+@pytest.mark.parametrize("kind", few(3, ["csv", "frame", "arrays", "parquet", "ecsv", "table"]))
 def test_a_table_is_the_same_whatever_holds_it(kind, tmp_path, read):
     path, hourly = tmp_path / f"t.{kind}", Table.from_pandas(FRAME)
     hourly["beta"] = hourly["beta"] / 24 * u.Unit("1/h")
@@ -147,7 +147,7 @@ def design(name, n, seed=0):
     return {"design": name, "n": n, "seed": seed, "ranges": RANGES | ranges}
 
 
-@pytest.mark.parametrize("name", [slow(n) if n in ("halton", "random", "saltelli") else n for n in GROWS])
+@pytest.mark.parametrize("name", few(2, GROWS))
 def test_designs_are_spread_over_their_ranges_and_larger_ones_begin_alike_where_they_say_so(name, read):
     few, columns = read(design(name, 32)), read(design(name, 64))
     assert all(columns[key][: len(values)] == values for key, values in few.items()) == GROWS[name]

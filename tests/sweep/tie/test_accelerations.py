@@ -15,7 +15,7 @@ from linksweep.sweep.tables.columns import ALL_PAIRS
 from linksweep.sweep.tie.tables import TableOptions, read_table
 from tests.core.tie.made import NAMES, gaia, noise, only, seen_by_satellite, stars
 from tests.sweep.tie.test_against_least_squares import EPSILON, KINDS, OMEGA, compare
-from tests.tiers import slow
+from tests.tiers import few, slow
 
 NINE = (*NAMES, "accel_ra", "accel_dec", "deriv_accel_ra", "deriv_accel_dec")
 TIE = "linksweep.sweep.tie.experiment:tie"
@@ -127,7 +127,7 @@ def test_a_link_is_that_of_full_matrices(tmp_path, seed):
     np.testing.assert_allclose(link.estimate, np.concatenate([EPSILON, OMEGA]) / MAS, atol=0.3)
 
 
-@pytest.mark.parametrize("words", [*[*MISTAKES][:2], *map(slow, [*MISTAKES][2:])])
+@pytest.mark.parametrize("words", few(1, MISTAKES))
 def test_mistakes_in_accelerations_are_named(tmp_path, words):
     link, _ = made_link(tmp_path, 5, change=MISTAKES[words])
     assert re.search(words, link.attrs["misfit"])
@@ -167,6 +167,7 @@ def test_accelerations_of_a_reference_leave_its_five_parameters(tmp_path):
     np.testing.assert_array_equal(link.estimate, same.estimate)
 
 
+@pytest.mark.slow
 def test_an_accelerated_satellite_in_a_forecast_and_in_draws(tmp_path):
     _, made = made_link(tmp_path, 11)
     tables, options = (tmp_path / "satellite.fits", tmp_path / "reference.fits"), {"positions": "mean"}

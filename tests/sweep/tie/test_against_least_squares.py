@@ -14,7 +14,7 @@ from linksweep.core.frames import MAS
 from linksweep.core.tie.astrometry import PAIRS, by_errors, joined, propagated
 from linksweep.core.unknowns import Objects, parse_unknowns
 from tests.core.tie.made import POSITION, gaia, noise, only, seen_by_satellite, stars
-from tests.tiers import slow
+from tests.tiers import few, slow
 
 EPSILON, OMEGA = np.array([0.4, -0.3, 0.9]) * MAS, np.array([-0.2, 0.1, 0.3]) * MAS
 KINDS_OF_ROWS = [["five"], ["five", "position"], ["motion", "position", "ra", "pmdec"]]
@@ -22,7 +22,8 @@ PRESENT = {"five": np.arange(5) >= 0, "position": POSITION, "motion": np.arange(
 PRESENT |= {"ra": np.arange(5) == 0, "pmdec": np.arange(5) == 4}
 KINDS = "formal,scaled,jackknife,sandwich,cells"
 SEEDS = [1, *map(slow, (2, 4))]
-CLIPPED = ("covariance", "huber:1.5"), ("variance", "huber:1.5"), ("covariance", "median:1.5")
+WAYS = [("covariance", "huber:1.5"), ("covariance", "median:1.5"), ("variance", "none"), ("equal", "none")]
+WAYS += [("covariance", "none"), ("variance", "huber:1.5")]
 
 
 def drawn_tables(folder, seed, n=12, free=2, scale=1.0, far=(), coarse=(), calibrators=("",)):
@@ -173,7 +174,7 @@ def compare(link, tables, weights, sign=1.0):
         np.testing.assert_allclose(got, expected, rtol=rtol, atol=atol)
 
 
-@pytest.mark.parametrize(("weights", "clip"), [*CLIPPED, *((w, "none") for w in ("covariance", "variance", "equal"))])
+@pytest.mark.parametrize(("weights", "clip"), few(4, WAYS))
 @pytest.mark.parametrize("seed", SEEDS)
 def test_a_solution_is_that_of_full_matrices(tmp_path, seed, weights, clip):
     tables = drawn_tables(tmp_path, seed, n=40, far=(2, 5, 6) if clip == "median:1.5" else ())  # several in some cells

@@ -126,7 +126,7 @@ def errors_by_hand(folder, table, old, new):
     return forecast(folder / "scaled.fits", folder / "reference.fits", "orientation,spin").error.values[0]
 
 
-@settings(max_examples=examples(25), deadline=None)
+@settings(max_examples=examples(25, quick=2), deadline=None)
 @given(pair=st.sampled_from(list(permutations(EPOCH, 2))))
 def test_errors_are_scaled_from_the_release_that_has_the_epoch(folder, pair):
     old, new = pair
@@ -176,7 +176,7 @@ def test_a_study_scales_from_the_same_release(folder):
             in_a_study(folder, *tables, **{"release": "dr5"} | changes)
 
 
-@pytest.mark.parametrize("jitter", ["", "position=0.2:0.02"])
+@pytest.mark.parametrize("jitter", ["", slow("position=0.2:0.02")])
 def test_new_positions_of_quasars_are_mean_ones_that_hold_at_any_epoch(tmp_path, jitter):
     quasars = replace(stars(12, 5, pm=0.0, parallax=0.0), radial_velocity=np.zeros(12))
     own = replace(quasars, values=seen(quasars, quasars))
@@ -220,6 +220,7 @@ def test_new_positions_are_of_the_kind_that_the_reference_is_marked_to_be(folder
     assert np.all((marked == mean) & (single > mean))
 
 
+@pytest.mark.slow
 def test_estimated_noise_is_in_new_rows_and_is_not_scaled_to_a_release(tmp_path):
     own, rng = replace(resting(2016.0), correlations=np.zeros((10, 12))), np.random.default_rng(4)
     rows = only(joined(*(replace(own, epoch=own.epoch - years) for years in (3.0, 8.0, 14.0))), POSITION)

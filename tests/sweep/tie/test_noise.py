@@ -171,6 +171,7 @@ def test_rows_that_share_a_calibrator_share_its_error_also_in_draws(tmp_path, se
     np.testing.assert_allclose(np.diag(np.cov(found.T)), np.diag(expected), rtol=0.25)
 
 
+@pytest.mark.slow
 def test_the_advice_for_a_kind_with_few_rows_works_and_what_results_say_is_an_option(tmp_path):
     truth = stars(20)
     noisy = replace(truth, values=truth.values + noise(np.random.default_rng(1), truth))

@@ -12,7 +12,7 @@ from pyarrow import parquet
 from linksweep import tie
 from tests.core.tie.made import main
 from tests.sweep.outside import Outside
-from tests.tiers import slow
+from tests.tiers import few, slow
 
 SPIN = (0.03, -0.02, 0.05)
 OF_ALL = {"unknowns": "spin", "degree": 2, "clip": "median:5", "errors": "cells"}
@@ -96,7 +96,7 @@ def test_a_scheduler_elsewhere_gives_the_same_bits(tmp_path, by_groups):
     np.testing.assert_array_equal(there.estimate, tie(path, "zero-motion", "spin").estimate)
 
 
-@pytest.mark.parametrize("seed", [1, *map(slow, (3, 5)), 6, slow(7)])
+@pytest.mark.parametrize("seed", few(1, [6, 1, 3, 5, 7]))
 def test_the_epoch_is_the_median_of_all_row_groups(tmp_path, by_groups, monkeypatch, seed):
     rng, n = np.random.default_rng(seed), 20 + seed
     epochs = np.round(rng.uniform(2014.0, 2018.0, n), [0, 5][seed // 2 % 2])

@@ -214,7 +214,7 @@ def written(folder, **changes):
     return linksweep.run(study, folder / "s.zarr", pool="serial", fresh=True)
 
 
-@pytest.mark.parametrize("case", [case if case in ("jitter", "discrepancy:2") else slow(case) for case in CASES])
+@pytest.mark.parametrize("case", [case if case == "discrepancy:2" else slow(case) for case in CASES])
 def test_a_study_has_what_the_command_has_with_each_option(here, case):
     gaia("satellite.ecsv", stars(20, 3))
     reference = stars(20, 4)
