@@ -15,7 +15,18 @@ from scipy.linalg import block_diag
 from linksweep.core.frames import DEGREE, Array, Flags, Indices, LinkError, Names, Texts
 from linksweep.core.tie import astrometry
 from linksweep.core.tie.astrometry import FURTHER, Astrometry, Differences, bends, by_errors, differences
-from linksweep.core.tie.mistakes import EXCESS, LARGER, SMALLER, Cause, Misfit, best_shift, explains, likely
+from linksweep.core.tie.mistakes import (
+    EXCESS,
+    GOOD,
+    LARGER,
+    SMALLER,
+    UNEXPLAINED,
+    Cause,
+    Misfit,
+    best_shift,
+    explains,
+    likely,
+)
 from linksweep.core.tie.problem import inverted
 from linksweep.core.unknowns import PARAMETERS
 
@@ -41,7 +52,7 @@ MISTAKES = {
 }
 VALUE, ERROR, NOISE = "centroid_pos_al", "centroid_pos_error_al", "agis_source_excess_noise"
 
-Change = Mapping[str, tuple[float, float]]
+Change = Mapping[str, tuple[Any, float]]
 
 
 class Paths(NamedTuple):
@@ -135,8 +146,9 @@ class Transits:
 
         ``change`` are factors and summands of quantities that are changed before.
         """
-        changed = {name: self.observed[name] * by + plus for name, (by, plus) in change.items()}
-        trial, every = replace(self, observed={**self.observed, **changed}), np.arange(len(self.models))
+        changed = {name: self.observed[name] * by + plus for name, (by, plus) in change.items() if name != NOISE}
+        noise, every = self.noise * change.get(NOISE, (1.0, 0.0))[0], np.arange(len(self.models))
+        trial = replace(self, observed={**self.observed, **changed}, noise=noise)
         try:
             bent, straight = trial.paths(), trial.paths(straight=True)
         except LinkError:
@@ -179,14 +191,19 @@ def misfit(transits: Transits) -> Misfit:
         return Misfit()
     ratio = float(before[:, bad].max())
     for words, change in _corrections(transits, bad):
-        after = transits.ratios(change)[:, bad]
-        left = float(after.max())
+        every, hides = transits.ratios(change), "too small" in words  # which would hide any mistake
+        after, left = every[:, bad], float(every[:, bad].max())
+        if hides and not (len(bad) > 1 and LOW < np.median(every[0]) < GOOD):  # a unit of errors is that of all stars
+            continue
         if after[0].min() > LOW and left < EXCESS and (ratio < EXCESS or explains(left, ratio)):
-            causes.append(Cause(words, left, hides="too small" in words))  # which would hide any mistake
+            causes.append(Cause(words, left, hides))
     said = f"chi2 of the transits of {', '.join(map(str, transits.names[bad][:5]))}"
     said += " against the satellite's rows" if ratio > EXCESS and ratio == before[1, bad].max() else ""
     said += f" is {ratio if ratio > EXCESS else before[0, bad].min():.3g} times its expectation"
-    return Misfit(ratio, f"{said}; {likely(causes, ALIKE)}")
+    if causes:
+        return Misfit(ratio, f"{said}; {likely(causes, ALIKE)}")
+    unexplained = f"{UNEXPLAINED}, whose paths --star-model and --orbits give"
+    return Misfit(ratio, f"{said}; {unexplained if ratio > EXCESS else 'errors or excess noise are too large'}")
 
 
 def _corrections(transits: Transits, bad: Flags) -> Iterator[tuple[str, Change]]:
@@ -196,6 +213,12 @@ def _corrections(transits: Transits, bad: Flags) -> Iterator[tuple[str, Change]]
         yield f"positions along the scan, {unit}", {VALUE: (factor, 0.0)}
         yield f"positions along the scan and their errors, {unit}", {VALUE: (factor, 0.0), ERROR: (factor, 0.0)}
         yield f"errors too {'small' if factor > 1.0 else 'large'}, {unit}", {ERROR: (factor, 0.0)}
+    yield "excess noise, uas taken for mas", {NOISE: (1e-3, 0.0)}
+    passage, time = transits.observed["transit_id"], transits.epoch + transits.observed["relative_time_year"]
+    squares = np.bincount(passage, transits.weights() * transits.paths().residuals ** 2)[passage]
+    worst = [np.argmax(np.where(transits.star == s, squares, -1.0)) for s in np.flatnonzero(bad)]
+    words = ", ".join(f"the transit of {transits.names[transits.star[k]]} at {time[k]:.2f}" for k in worst[:5])
+    yield f"{words} alone", {ERROR: (np.where(np.isin(passage, passage[worst]), 1e6, 1.0), 0.0)}
     shift = best_shift(lambda years: float(transits.ratios({"relative_time_year": (1.0, years)})[1, bad].sum()))
     words = f"times {abs(shift):.3g} years too {'early' if shift > 0.0 else 'late'}, or positions of another epoch"
     yield words, {"relative_time_year": (1.0, shift)}

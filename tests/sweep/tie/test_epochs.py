@@ -255,6 +255,11 @@ def angles_of_one_star(sky):
     sky.scans["scan_pos_angle"] *= np.where(names == names[0], -1.0, 1.0)[:, None]
 
 
+def one_binary(sky):
+    far = 9.0 * np.sin(np.array(sky.scans["obs_time_tcb"]) / 2e16) * np.sin(np.radians(sky.scans["scan_pos_angle"]))
+    sky.scans["centroid_pos_al"] += far * (sky.scans["source_id"] == sky.scans["source_id"][0])[:, None]
+
+
 def of_dr3(sky):
     sky.satellite["ref_epoch"] = 2016.0
     sky.scans.remove_columns(["ra0", "dec0"])
@@ -267,6 +272,11 @@ MISTAKES = {  # what changes tables, and the words of a misfit
     "angles from east": (times("scan_pos_angle", -1.0, 90.0), f"{CHI2}sine and cosine of the scan angles exchanged"),
     "angles reversed": (times("scan_pos_angle", -1.0), f"{CHI2}scan angles with reversed sign"),
     "errors in uas": (times("centroid_pos_error_al", 1e3), f"{CHI2}errors too large, uas taken for mas"),
+    "errors in arcsec": (times("centroid_pos_error_al", 1e-3), f"{CHI2}errors too small, arcsec taken for mas"),
+    "excess noise in uas": (times("agis_source_excess_noise", 1e3), f"{CHI2}excess noise, uas taken for mas"),
+    "large noise": (times("agis_source_excess_noise", 1e6), "expectation; errors or excess noise are too large"),
+    "one transit": (put("centroid_pos_al", 3, 30.0), rf"{CHI2}the transit of {10**17} at 20\d\d\.\d\d alone"),
+    "a binary": (one_binary, f"of {10**17} is .*not single, whose paths --star-model and --orbits give"),
     "parallax": (times("parallax_factor_al", -1.0), f"{CHI2}parallax factors with reversed sign"),
     "positions in arcsec": (times("centroid_pos_al", 1e-3), f"{CHI2}positions along the scan, arcsec taken for mas"),
     "one star's angles": (angles_of_one_star, "of 100000000000000000 .*scan angles with reversed sign"),
@@ -290,7 +300,7 @@ REFUSALS = {  # what changes tables, or options; and the words of an error
     "a star": ({"star_models": {"S1": "7"}}, "stars with observations"),
     "an orbit": ({"star_models": {str(10**17): "orbit"}}, f"no elements of the orbit of {10**17}"),
 }
-QUICK = {"errors in uas", *REFUSALS} - {"days", "since 2000"}
+QUICK = {"errors in uas", "one transit", "a binary", *REFUSALS} - {"days", "since 2000"}
 
 
 @pytest.mark.parametrize("mistake", [m if m in QUICK else slow(m) for m in (*MISTAKES, *REFUSALS)])
@@ -326,7 +336,8 @@ def test_stars_without_observations_and_strangers_are_named(tmp_path):
 
 
 def test_an_orbit_is_that_of_one_star_and_one_that_is_not_on_the_sky_is_none(tmp_path):
-    sky, one, blank = drawn(4, ["orbit", "5", "5", "5"]), [10**17, *ORBIT[:3], *ORBIT[3:]], [None] * 7
+    sky, blank = drawn(4, ["orbit", "5", "5", "5"], bend=3.0), [None] * 7
+    one = [10**17, *ORBIT[:3] * [365.25, 1.0, 365.25], *ORBIT[3:]]
     names = ("source_id", "period", "eccentricity", "t_periastron", *(f"{k}_thiele_innes" for k in "abfg"))
     names += ("nodeangle", "inclination", "arg_periastron")
     angles = np.degrees([NODE, INCLINATION, PERIASTRON]).tolist()
@@ -335,8 +346,10 @@ def test_an_orbit_is_that_of_one_star_and_one_that_is_not_on_the_sky_is_none(tmp
         pd.DataFrame(rows, columns=names).to_csv(tmp_path / "orbits.csv", index=False)
         return linked(tmp_path, sky, orbits=tmp_path / "orbits.csv", accept_misfit=True, **options)
 
+    sky.vlbi = drawn(4, ["5"] * 4).vlbi
     found = link([*one, *angles], [10**17 + 7, 30.0, 0.0, 0.0, *blank])
     assert found.path_model.values.tolist() == ["orbit", "5", "5", "5"]
+    assert "the likely cause: orbits of the satellite that the other table does not have" in found.attrs["misfit"]
     assert "orbits.csv: no orbit on the sky, and so none that is used, in row 2" in found.attrs["notes"]
     for rows, options, said in (
         ([[*one, *angles], [*one[:4], *blank[:4], *angles]], {}, "one of several orbits of a star in row 1, 2"),
