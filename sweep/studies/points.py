@@ -25,8 +25,17 @@ import numpy as np
 
 from linksweep.sweep.code import Code, reach_of
 from linksweep.sweep.contract import Array, Experiment, Named, Parameter, SweepError, Value, nearest, shown, suggest
-from linksweep.sweep.contract.experiment import LABEL, factor_between, is_quantity, name_problem, rescaled, same_unit
+from linksweep.sweep.contract.experiment import (
+    LABEL,
+    factor_between,
+    is_quantity,
+    name_problem,
+    quantity_of,
+    rescaled,
+    same_unit,
+)
 from linksweep.sweep.formatting import first_of
+from linksweep.sweep.functions.results import unit_of
 from linksweep.sweep.studies.study import POINT, Form, PointsForm, PointTable, Sampling, number_at
 from linksweep.sweep.tables.columns import content_digest, rows_listed, table_file
 from linksweep.sweep.tables.reader import BRACKETS, read_table
@@ -159,8 +168,9 @@ class Values:
             parameter = self._parameter(name)
             if not parameter.may_be_axis:
                 raise ValueError(f"a {parameter.kind} cannot be an axis")
-            for one in spec.values() if isinstance(spec, dict) else [spec]:
-                refuse_quantity(one, parameter)
+            if isinstance(spec, dict):
+                spec = {key: without_unit(one, parameter) for key, one in spec.items()}
+            spec = without_unit(spec, parameter)
             if not (raw_values := axis_values(spec, whole=parameter.kind == "int")):
                 raise ValueError("an axis needs at least one value")
             values = self.several(place, name, raw_values)
@@ -196,14 +206,32 @@ class Values:
                 raise ValueError(f"two values have the label {shown(str(value))}: give each its own")
 
 
-def refuse_quantity(value: Any, parameter: Parameter) -> None:
-    """Raise ValueError for a quantity of astropy, with how it becomes numbers in the unit of a parameter if it can."""
-    if type(value) not in PLAIN_TYPES and is_quantity(value):
-        theirs, unit = str(value.unit), parameter.unit
-        words = f", and the parameter {f'is in {unit}' if unit else 'has no unit'}"
-        if factor_between(theirs, unit) is not None:
-            words = f"; give numbers in the unit of the parameter, .to_value({unit!r})"
-        raise ValueError(f"is a quantity in {theirs or 'no unit'}{words}")
+def has_unit(value: Any) -> bool:
+    """Return whether a value is a quantity, a column with a unit, or an array of xarray with one."""
+    return is_quantity(value) or bool(unit_of(value))
+
+
+def without_unit(value: Any, parameter: Parameter) -> Any:
+    """Return what carries a unit as `in_unit` does, anything else as it is."""
+    if type(value) in PLAIN_TYPES or not has_unit(value):
+        return value
+    numbers = in_unit(columns_of({"": value})[0][""], unit_of(value), parameter)
+    return numbers if np.ndim(value) else numbers[0]
+
+
+def in_unit(cells: list[Any], theirs: str, parameter: Parameter) -> list[Any]:
+    """Return numbers in the unit of a parameter, or quantities for one that takes objects alone.
+
+    Raises ValueError where its unit is of another kind, or it has none.
+    """
+    unit = parameter.unit
+    if parameter.kind == "object":
+        return [None if cell is None else quantity_of(cell, theirs) for cell in cells]
+    factor = factor_between(theirs, unit)
+    if factor is None or (factor != 1.0 and not set(map(type, cells)) <= {int, float, str, bool, type(None)}):
+        words = f"is in {unit}" if unit else "has no unit; give numbers, declare its unit, or annotate it with Quantity"
+        raise ValueError(f"is in {theirs or 'no unit'}, and the parameter {words}")
+    return [rescaled(cell, factor) if type(cell) in (int, float) else cell for cell in cells]
 
 
 def numbers_like(known: Iterable[Value], values: Iterable[Value]) -> tuple[Value, ...]:
@@ -572,7 +600,7 @@ def labels_of(cells: Sequence[Any]) -> list[Any]:
 def _in_file(form: PointsForm, values: Values) -> tuple[Cells, dict[str, str]]:
     path = values.folder / str(form.file)
     table = read_table(path)
-    columns, units = columns_of({name: table[name] for name in table.colnames})
+    columns, units = columns_of(table)
     known = {parameter.name: parameter for parameter in values.experiment.parameters}
     ours = {name: known.get(name, known.get(BRACKETS.sub(r"\1", name), Parameter(name))) for name in columns}
     columns = {name: _read_cells(cells, ours[name]) for name, cells in columns.items()}
@@ -621,14 +649,18 @@ def read_cell(cell: Any, kind: str, marks: Mapping[int, Any] = NO_MARKS) -> Any:
 
 
 def columns_of(table: Mapping[str, Any]) -> tuple[dict[str, list[Any]], dict[str, str]]:
-    """Return astropy columns by name as lists of Python values, None where one is missing, and units by column."""
+    """Return columns by name as lists of Python values, None where one is missing, and units by column.
+
+    NaN is missing in a table of astropy, and a value of other columns.
+    """
     columns, units = {}, {}
     for name, column in table.items():
-        if unit := getattr(column, "unit", None):
-            units[str(name)] = str(unit)
+        if unit := unit_of(column):
+            units[str(name)] = unit
         numbers, mask = getattr(column, "unmasked", column), getattr(column, "mask", False)
         cells = np.ma.masked_array(numbers.value, mask) if is_quantity(column) else column
         some = np.atleast_1d(np.ma.asarray(cells)).tolist()
+        some = [None if is_missing(cell) else cell for cell in some] if hasattr(table, "colnames") else some
         columns[str(name)] = [cell.decode() if isinstance(cell, bytes) else cell for cell in some]
     return columns, units
 
@@ -638,20 +670,14 @@ def _in_units(columns: Cells, units: Mapping[str, str], values: Values, where: K
     right: dict[str, list[Any]] = {}
     for name in {**columns, **units}:
         with values.problems.at((*where, name)):
-            unit, theirs = values.experiment.parameter(name).unit, units.get(name, "")
+            parameter = values.experiment.parameter(name)
             if name not in columns:
                 raise ValueError("has a unit, but is no column")
-            cells = columns[name]
-            missing = np.array([is_missing(cell) for cell in cells], dtype=bool)
-            if missing.any() and not (parameter := values.experiment.parameter(name)).optional and not parameter.when:
+            missing = np.array([cell is None for cell in columns[name]])
+            if missing.any() and not parameter.optional and not parameter.when:
                 raise ValueError(f"has no value in row {rows_listed(missing)}")
-            factor = factor_between(theirs, unit) if theirs else 1.0
-            if factor is None or (factor != 1.0 and not set(map(type, cells)) <= {int, float, str, bool, type(None)}):
-                raise ValueError(
-                    f"its column is in {theirs}, and the parameter {f'is in {unit}' if unit else 'has no unit'}"
-                )
-            cells = [None if gone else cell for cell, gone in zip(cells, missing, strict=True)]
-            right[name] = [rescaled(cell, factor) if type(cell) in (int, float) else cell for cell in cells]
+            theirs = units.get(name, "")
+            right[name] = in_unit(columns[name], theirs, parameter) if theirs else columns[name]
     return right
 
 
@@ -669,7 +695,8 @@ def _derived(reference: str, columns: Cells, settings: Mapping[str, Any], values
             expected = f"a mapping of {', '.join(derived) or 'parameters'} that are no columns to their values"
             raise ValueError(f"row {number}: {reference} returns {shown(result)}, not {expected}")
         for name, value in result.items():
-            derived.setdefault(str(name), []).append(value.item() if hasattr(value, "item") else value)
+            one = value.item() if hasattr(value, "item") and not has_unit(value) else value
+            derived.setdefault(str(name), []).append(one)
     return derived
 
 
@@ -714,8 +741,8 @@ def labelled(value: Any, label: str = "", otherwise: str = "") -> Named:
         parts = parts | {"code": f"{code.co_code.hex()} {[one for one in code.co_consts if type(one) in PLAIN_TYPES]}"}
     if not label:
         name = value.name if isinstance(value, Enum) else getattr(value, "__name__", "")
-        texts = str if isinstance(value, PurePath | datetime.date | datetime.time | np.datetime64) else repr
-        label = name or " ".join(texts(value).split())
+        is_text = isinstance(value, PurePath | datetime.date | datetime.time | np.datetime64) or is_quantity(value)
+        label = name or " ".join((str(value) if is_text else repr(value)).split())
         if label == "<lambda>" or " at 0x" in label or "..." in label or len(label) > LONGEST_LABEL:
             label = otherwise
         if not label:
@@ -725,7 +752,8 @@ def labelled(value: Any, label: str = "", otherwise: str = "") -> Named:
 
 def parsed(parameter: Parameter, raw: Any, otherwise: str = "") -> Any:
     """Return a value of a parameter, an object as `labelled`; raises ValueError as that and `Parameter.parse`."""
-    refuse_quantity(raw, parameter)
+    if not parameter.takes_objects or (is_quantity(raw) and parameter.kind != "object"):
+        raw = without_unit(raw, parameter)
     is_plain = type(raw) in PLAIN_TYPES or (isinstance(raw, dict) and raw.keys() == {LABEL})
     return parameter.parse(raw if is_plain or not parameter.takes_objects else labelled(raw, "", otherwise))
 
@@ -758,7 +786,7 @@ def plain_values(values: Any, where: str) -> Any:
     """Return the values of an axis or a column as a study has them: numbers and texts, and others as they are, or under
     the label that they are given.
     """
-    if is_quantity(values):  # refused where the unit of its parameter is known
+    if has_unit(values):  # converted or refused where that of its parameter is known
         return values
     if isinstance(values, Mapping):
         if values.keys() & {"start", "values"}:
@@ -780,15 +808,21 @@ def plain_value(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) and value.dtype.kind in PLAIN else value
 
 
+def is_plain(raw: Any) -> bool:
+    """Return whether a value, or each in a list or a range, is such as a study file has."""
+    some = raw.values() if isinstance(raw, dict) else raw if isinstance(raw, list) else [raw]
+    return {*map(type, some)}.issubset(PLAIN_TYPES)
+
+
 def plain(value: Any, where: str) -> Any:
     """Return a value as TOML would give it: lists for arrays, ranges, tuples and indexes, Python's own numbers.
 
-    Raises SweepError that names the place for a quantity of astropy where there is no parameter with a unit.
+    Raises SweepError that names the place for numbers with a unit where there is no parameter with a unit.
     """
     if isinstance(value, Mapping):
         return {str(key): plain(item, f"{where}.{key}") for key, item in value.items()}
-    if is_quantity(value):
-        raise SweepError(f"{where}: is a quantity in {str(value.unit) or 'no unit'}; give numbers")
+    if has_unit(value):
+        raise SweepError(f"{where}: is in {unit_of(value) or 'no unit'}; give numbers")
     if isinstance(value, np.generic):
         return value.item()
     if hasattr(value, "tolist"):  # arrays of NumPy, pandas and xarray
@@ -843,8 +877,8 @@ def plain_points(points: Any) -> dict[str, Any]:
             return dict(plain(points, "points"))
     if isinstance(points, Mapping) or hasattr(points, "colnames"):
         table = {str(name): points[name] for name in getattr(points, "colnames", points)}
-        known = [name for name, one in table.items() if is_quantity(one) or hasattr(points, "colnames")]
-        cells, units = columns_of({name: table[name] for name in known})
+        with_units = {name: one for name, one in table.items() if has_unit(one)}
+        cells, units = columns_of(points if hasattr(points, "colnames") else with_units)
         table |= {name: some for name, some in cells.items() if not some or not isinstance(some[0], list)}
     elif hasattr(points, "columns") and hasattr(points, "to_dict"):
         if points.index.names != [None] or points.index.tolist() != list(range(len(points))):

@@ -28,6 +28,7 @@ from linksweep.sweep.studies.points import (
     Problems,
     Values,
     compared,
+    is_plain,
     labelled,
     plain_study,
     read_cell,
@@ -573,8 +574,8 @@ class _Reader:
         for key in {"axes", "fixed"} & document.keys():
             document[key] = document[key] | {
                 name: paths.get(name, written[name])
-                for name in document[key]
-                if name in paths or (known[name].takes_objects and known[name].defined)
+                for name, raw in document[key].items()
+                if name in paths or (known[name].takes_objects and known[name].defined) or not is_plain(raw)
             }
         for name, by_name in form.define.items():
             for word, entries in by_name.items():

@@ -8,6 +8,7 @@ import astropy.units as u
 import numpy as np
 import pandas as pd
 import pytest
+import xarray as xr
 from astropy.table import MaskedColumn, QTable, Table
 from astropy.utils.masked import Masked
 from scipy.stats import binomtest
@@ -44,6 +45,10 @@ def f(beta: Beta = 0.3, k: int = 2, solver: Literal["a", "b", "none"] = "a"):
 
 def far(distance: Distance, n: int = 1):
     return distance * n
+
+
+def measured(distance: u.Quantity):
+    return distance.to_value(u.m)
 
 
 def perhaps_far(distance: Annotated[float | None, Parameter("distance", unit="m")] = None, n: int = 1):
@@ -88,12 +93,12 @@ def sobol(**more):
 
 WRONG = [
     ({"beta": [1.0, 2.0], "kk": [1, 2]}, "points.columns.kk: unknown parameter 'kk'; did you mean 'k'?"),
-    ({"beta": [1.0, np.nan]}, "points.columns.beta: has no value in row 2"),
+    ({"beta": [1.0, np.nan]}, "points.columns.beta: row 2: beta = nan: must be a number > 0"),
     (Table({"k": MaskedColumn([1, 2], mask=[True, False])}), "points.columns.k: has no value in row 1"),
     ({"beta": [1.0, -2.0]}, "points.columns.beta: row 2: beta = -2.0: must be a number > 0"),
     ({"k": [1, 2.5]}, "points.columns.k: row 2: k = 2.5: must be an integer"),
     ({"beta": [1.0, 2.0], "k": [1]}, "the same number of values; beta has 2, k has 1"),
-    (Table({"beta": [1.0] * u.m}), "its column is in m, and the parameter is in 1/d"),
+    (Table({"beta": [1.0] * u.m}), "points.columns.beta: is in m, and the parameter is in 1/d"),
     ("nowhere.csv", "no such file"),
     (3, "must be a DataFrame, a Table, a mapping of columns, a file or a design"),
     (sobol(design="sobl"), "points.design: input should be 'sobol',"),
@@ -108,16 +113,20 @@ WRONG = [
     ({"columns": {"k": [1]}, "design": "sobol"}, "exactly one of file, design and columns"),
 ]
 LONG = 86.85482395804122
-ELSEWHERE = "is a quantity in km; give numbers in the unit of the parameter, .to_value('m')"
+HERE, GIVE = xr.DataArray([1.0, 2.0], dims="d", attrs={"units": "km"}), "declare its unit, or annotate it with Quantity"
 DISTANCES = QTable({"distance": Masked([1.0, 2.0] * u.km, mask=[False, True])})
 idle = experiment(when={"k": {"beta": [3.0]}})(lambda beta=1.0, k=1: beta)
 pointed = experiment()(lambda point=1.0, k=1: point * k)
 ALL_WRONG = [
     *((f, {"points": points}, problem) for points, problem in WRONG),
-    (far, {"axes": {"distance": [1.0, 2.0] * u.km}}, f"axes.distance: {ELSEWHERE}"),
-    (far, {"fixed": {"distance": 3.0 * u.km}}, f"fixed.distance: {ELSEWHERE}"),
-    (far, {"points": {"distance": [1.0 * u.km]}}, f"points.columns.distance: row 1: {ELSEWHERE}"),
-    (far, {"axes": {"distance": [1.0] * u.s}}, "axes.distance: is a quantity in s, and the parameter is in m"),
+    *((far, {"axes": {"distance": [1], "n": some}}, GIVE) for some in (HERE, HERE.values * u.s)),
+    (
+        far,
+        {"points": {"distance": [1], "n": [1 * u.km]}},
+        "points.columns.n: row 1: is in km, and the parameter has no",
+    ),
+    (far, {"points": {"design": "random", "n": 1, "ranges": {"distance": HERE}}}, "distance: is in km; give numbers"),
+    (far, {"axes": {"distance": [1.0] * u.s}}, "axes.distance: is in s, and the parameter is in m"),
     (far, {"points": DISTANCES}, "points.columns.distance: has no value in row 2"),
     (far, {"points": {"columns": {"distance [cm]": [1.0]}, "units": {"distance": "m"}}}, "is in cm, and not in m"),
     # which parameters a wrong table has is not known: those without a default are not asked for
@@ -170,16 +179,32 @@ def test_a_design_of_no_power_of_two_and_conditions_of_nothing_are_warned_of(swe
     assert (code, [words in out + err for words in warnings]) == (0, [n == 100, k == 3, function == "idle"]), err
 
 
-@pytest.mark.parametrize("kind", ["row", "name", "columns", "nan", "masked"])
+KM = HERE.values * u.km
+CARRIED = [
+    (far, "axes", one) for one in (HERE, [*HERE], Table({"d": KM})["d"], {"start": KM[0], "stop": KM[1], "num": 2})
+]
+CARRIED += [(far, "points", HERE), (far, "points", [*HERE]), (far, "fixed", HERE[1])]
+CARRIED += [(f, *one) for f in (far, measured) for key in ("axes", "points") for one in ((key, KM), (key, [*KM]))]
+
+
+@pytest.mark.parametrize(("function", "key", "some"), [*CARRIED, (far, "fixed", KM[1]), (measured, "fixed", KM[1])])
+def test_whatever_carries_a_unit_becomes_numbers_in_that_of_the_parameter(function, key, some, tmp_path):
+    for _ in range(2):  # what the store has is the same study
+        ds = run(function, tmp_path / "s", pool="serial", **{key: {"distance": some}})
+    assert ds[function.__name__].values.tolist() == (2000.0 if key == "fixed" else [1000.0, 2000.0])
+
+
+@pytest.mark.parametrize("kind", ["row", "name", "columns", "nan", "masked", "array"])
 def test_a_column_in_another_unit_has_gaps_and_the_numbers_of_the_parameter(kind, tmp_path, read):
     names = "distance [cm],n\n" if kind == "name" else "distance,n\ncm,\n"
     (tmp_path / "t.csv").write_text(f"{names}1.1,1\n,2\n{LONG},3\n")
     held = {
         "columns": {"columns": {"distance": [1.1, None, LONG], "n": [1, 2, 3]}, "units": {"distance": "cm"}},
         "nan": QTable({"distance": [1.1, np.nan, LONG] * u.cm, "n": [1, 2, 3]}),
+        "array": {"distance": [1.1, np.nan, LONG] * u.cm, "n": [1, 2, 3]},
         "masked": Table({"distance": MaskedColumn([1.1, 2, LONG], mask=[0, 1, 0], unit="cm"), "n": [1, 2, 3]}),
     }.get(kind, tmp_path / "t.csv")
-    assert read(held, perhaps_far)["distance"] == ["0.011", "None", "0.8685482395804122"]
+    assert read(held, perhaps_far)["distance"] == ["0.011", "nan" if kind == "array" else "None", "0.8685482395804122"]
 
 
 def test_a_function_derives_further_columns(tmp_path, read, problems_of):
