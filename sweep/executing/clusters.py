@@ -138,6 +138,9 @@ def client_at(address: str, security: Security | None = None) -> Iterator[Client
     options = (security or Security()).get_connection_args("client")
     if address.startswith("tls://") and options["ssl_context"] is None:
         raise SweepError(f"no certificates for {address!r}: give --tls-ca, --tls-cert and --tls-key, or configure Dask")
+    protocol, _, rest = address.partition("://")
+    if protocol not in ("tcp", "tls") or not rest.rpartition(":")[0] or not rest.rpartition(":")[2].isdecimal():
+        raise SweepError(f"no Dask scheduler has the address {address!r}; expected tcp://HOST:PORT or tls://HOST:PORT")
     with without_logs(), ExitStack() as stack:
         try:
             with ThreadPoolExecutor(1) as pool:  # a notebook has an event loop in this thread
@@ -165,7 +168,7 @@ async def _kind_of_server(address: str, options: dict[str, Any]) -> str:
     except (OSError, TimeoutError):
         raise
     except Exception as error:  # whatever Dask makes of the words of another kind of server
-        raise OSError(f"that is no Dask server ({type(error).__name__}: {error})") from error
+        raise OSError(f"what answers is no Dask server ({type(error).__name__}: {error})") from error
 
 
 def tls(ca: Path, cert: Path, key: Path) -> Security:

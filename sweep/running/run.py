@@ -107,12 +107,12 @@ def check_code(store: Store, study: Study, gone: Collection[bytes] = (), accept_
 
 def record_code(store: Store, study: Study, say: Callable[[str], None]) -> None:
     """Record which code makes the blocks from now on, and tell the user if it has changed."""
-    changes = differences_of_code(made := records_with_rows(store), study)
+    made = records_with_rows(store)
+    changes = differences_of_code(made, study)
     for sentence in changes:
         say(f"other code goes on with {store.location}: {sentence}")
-    begin_code(
-        store, made[-1]["code"] if made and not changes else code_of(study.experiment_reference, study.experiment)
-    )
+    is_same = made and not changes
+    begin_code(store, made[-1]["code"] if is_same else code_of(study.experiment_reference, study.experiment))
 
 
 def records_with_rows(store: Store) -> list[dict[str, Any]]:

@@ -26,6 +26,7 @@ n_sim = 10
 seed = 7
 """
 DECAY = b"def decay(years: float, half_life: float, rng):\n    return {'left': rng.random() ** years, 'lost': years}\n"
+NO_ADDRESSES = ["host", "nonsense://x:1", "tcp://", "tcp://:1"]
 NOT_A_STORE = "is not a store of linksweep (foreign or half-made)"
 ROOT = {"zarr_format": 3, "node_type": "group"}
 FOREIGN = {  # by what stands there: its files, and what is said
@@ -282,12 +283,11 @@ def test_a_command_that_cannot_be_run_says_why(here, coin_store, decayed, comman
     check_refused(here, words, *phrase.replace("STORE", str(coin_store)).split(", name it "))
 
 
-@pytest.mark.parametrize(
-    "address", ["host", "nonsense://x:1", "tcp://", "tcp://:1", "tcp://127.0.0.1:1", slow("tcp://127.0.0.1:99999999")]
-)
+@pytest.mark.parametrize("address", [*NO_ADDRESSES, "tcp://127.0.0.1:1", slow("tcp://127.0.0.1:99999999")])
 def test_bad_scheduler(here, monkeypatch, address):
     monkeypatch.setattr("linksweep.sweep.executing.clusters.CONNECT_TIMEOUT_S", 0.2)
-    check_refused(here, ("run", "study.toml", "--scheduler", address), "no Dask scheduler answers", repr(address))
+    words = "expected tcp://HOST:PORT" if address in NO_ADDRESSES else "no Dask scheduler answers"
+    check_refused(here, ("run", "study.toml", "--scheduler", address), words, repr(address))
 
 
 @pytest.mark.parametrize("case", FOREIGN)
