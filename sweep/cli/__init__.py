@@ -254,16 +254,21 @@ class AskedStudy:
 
 def load_trusted(study: str, trust: bool, **overrides: Any) -> "linksweep.Study":
     """Return a study with the overrides of `load_study`; raises SweepError for one in a store that is not trusted."""
-    from linksweep.sweep.stores.integrity import ROOT
     from linksweep.sweep.studies.reader import find_study, reference_in
 
     # Before anything is read: a study or a function inside a store came with the store, from whoever sent that.
     place = find_study(study) if (function := reference_in(study)) is None else Path(function.rpartition(":")[0])
-    store = next((folder for folder in place.resolve().parents if (folder / ROOT).is_file()), None)
-    if store is not None and not trust and (function is None or place.suffix == ".py"):
+    if (store := store_around(place)) is not None and not trust and (function is None or place.suffix == ".py"):
         reason = f"lies inside the store {store}, and would run what it names"
         raise linksweep.SweepError(f"{reason}; inspect it, and give --trust if it may run", str(place))
     return linksweep.load_study(study, **overrides)
+
+
+def store_around(path: Path) -> Path | None:
+    """Return the store in which a path lies, None if it lies in none."""
+    from linksweep.sweep.stores.integrity import ROOT
+
+    return next((folder for folder in path.resolve().parents if (folder / ROOT).is_file()), None)
 
 
 def link_in(store: "Location", at: At) -> Any:

@@ -3,8 +3,10 @@ check, reproduce, merge), with what they run on and what the user sees of it; wh
 and real tables (tie, forecast and apply for a link, match for the galaxies among stars).
 """
 
+import io
 import json
 import logging
+import re
 import shlex
 import subprocess
 import sys
@@ -84,13 +86,22 @@ def resources(
     return Resources(workers, pool, scheduler, tls, cluster, linksweep.Limits(time_limit, memory_limit), dashboard)
 
 
-def _log_file(context: click.Context, _parameter: click.Parameter, value: str | None) -> TextIO | None:
+BEGINS = {"log": rb"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} [A-Z]+ |$)", "events": rb'(\{"event": |$)'}
+"""How a file begins to which an option appends."""
+
+
+def _log_file(context: click.Context, parameter: click.Parameter, value: str | None) -> TextIO | None:
     if value is None or context.resilient_parsing:
         return None
     try:
         if value == "-":
             raise ValueError("standard output has the results; name a file")
-        return context.with_resource(Path(value).open("a", encoding="utf-8", errors="backslashreplace", buffering=1))
+        if store := cli.store_around(path := Path(value)):
+            raise ValueError(f"it lies inside the store {store}")
+        with path.open("rb") if path.is_file() else io.BytesIO() as there:
+            if re.match(BEGINS[str(parameter.name)], there.read(40)) is None:
+                raise ValueError(f"it exists, and is no file of --{parameter.name}")
+        return context.with_resource(path.open("a", encoding="utf-8", errors="backslashreplace", buffering=1))
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise click.BadParameter(f"{value!r} cannot be written: {reason}") from error

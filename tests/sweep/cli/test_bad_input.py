@@ -245,6 +245,8 @@ COMMANDS = [
     ("run study.toml --cluster c.toml --memory-limit 2GB", "memory, cluster: these are of different places"),
     ("run study.toml --cluster c.toml --time-limit 0", "'--time-limit'"),
     ("run study.toml --cluster c.toml --tls-ca c.toml", "--tls-ca, --tls-cert and --tls-key"),
+    *(("run study.toml --log study.toml", "is no file of --log"), ("run grid --events decay.py", "file of --events")),
+    *((f"run grid --events decay.zarr/{name}", "lies inside the store") for name in ("zarr.json", "e.jsonl")),
     *(("new taken", "taken.toml: exists already; take another name"), ("new ../up", "'../up' is no name for a study")),
     *(("new fine no.such:thing", "no.such"), ("new fine math:tau", "math:tau")),
     ("plot STORE --kind map", "no map of share here; possible are lines, law"),
