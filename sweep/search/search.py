@@ -741,7 +741,7 @@ def records(matches: xr.Dataset) -> Table:
     columns = []
     for name in matches.attrs["columns"]:
         cells, about = matches[name].values.tolist(), matches[name].attrs
-        values = [None if cell == about.get("missing", "") else cell for cell in cells]
+        values = [np.nan if cell == about.get("missing", "") else cell for cell in cells]
         columns.append(Column(name, values, unit=about.get("units", ""), meaning=about.get("description", "")))
     return Table(columns, about=_summary(matches), meta=_summary(matches))
 

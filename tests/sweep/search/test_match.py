@@ -168,6 +168,7 @@ def test_gaia_identifiers_are_carried(folder):
 
 
 def test_matches_in_a_store_are_looked_at_as_other_results(folder, sweep):
+    (folder / "wide.csv").write_text((folder / "wide.csv").read_text().replace(",11404", ","))
     for output in ("m.zarr", "m.ecsv"):
         code, shown, _ = sweep("match", *WITH_SUPPLEMENT, "-o", output)
         assert code == 0
@@ -175,7 +176,7 @@ def test_matches_in_a_store_are_looked_at_as_other_results(folder, sweep):
     rows, table = json.loads(sweep("show", "m.zarr", "--json")[1])["rows"], read_matches("m.ecsv")
     assert [list(row) for row in rows] == 4 * [table.colnames]
     cells = [[None if cell is np.ma.masked else cell for cell in row] for row in table]
-    assert [list(row.values()) for row in rows] == cells
+    assert ([list(row.values()) for row in rows], table["PGC"].dtype.kind) == (cells, "i")
     assert sweep("show", "m.zarr", "--format", "ecsv")[1] == (folder / "m.ecsv").read_text()
     assert sweep("report", "m.zarr")[0] == sweep("plot", "m.zarr")[0] == 0
     sentence = "4 of 5 stars are at a galaxy: 2 certain, 1 uncertain, 1 supplement."
