@@ -502,7 +502,7 @@ def located(where: Where) -> Location:
     scheme, separator, _ = address.partition(":/")
     if separator and "/" not in scheme:
         raise SweepError(f"cannot be a store: {scheme}:// is not known; a store is a path or s3://BUCKET/NAME", address)
-    return Folder(Path(where))
+    return Folder(Path(os.path.expanduser(Path(where))))  # a home that nobody has is a name
 
 
 @contextmanager
