@@ -248,6 +248,13 @@ def label(array: xr.DataArray, name: str, unit: str | None = None) -> str:
     return symbol(name, array.attrs) + (f" [{formatting.written(unit)}]" if unit else "")
 
 
+def axis_label(dataset: xr.Dataset, axis: str) -> str:
+    """Return the label of an axis; axes zipped with it that have the same values stand beside it."""
+    alike = [str(n) for n, c in dataset.coords.items() if c.dims == dataset[axis].dims and c.dtype.kind in "if"]
+    same = [n for n in alike if n != axis and np.array_equal(dataset[n].values, dataset[axis].values)]
+    return " = ".join(label(dataset[n], n) for n in (axis, *same))
+
+
 def explained_label(array: xr.DataArray, name: str) -> str:
     """Return the label of an axis after its name in words, unless these are the symbol."""
     words, declared = name.replace("_", " "), plain(str(array.attrs.get("symbol", ""))).lower()
