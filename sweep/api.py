@@ -24,6 +24,7 @@ from linksweep.sweep.running import progress as watching
 from linksweep.sweep.running.reproduce import verify as verified
 from linksweep.sweep.running.run import Beside, run_study
 from linksweep.sweep.stores.location import Where, default_store, located, store_named
+from linksweep.sweep.studies.points import plain_value
 from linksweep.sweep.studies.reader import live_study, load_study, reference_in, study_of_function
 from linksweep.sweep.studies.study import Part, Study
 
@@ -149,7 +150,7 @@ def run(
     loaded = replace(loaded, part=_parsed("part", part, Part.parsed))
     if loaded.part is not None:
         place = located(loaded.part.place(place))
-    file = None if cluster is None else Path(cluster)
+    file, workers = None if cluster is None else Path(cluster), plain_value(workers)
     resources = Resources(workers, pool, scheduler, cluster=file, limits=limits, dashboard=dashboard, client=client)
     most = _parsed("max_failures", max_failures, watching.MaxFailures.parsed)
     with _watching(loaded, progress) as watcher:

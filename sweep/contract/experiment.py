@@ -960,9 +960,9 @@ class Experiment:
         """Return the types of the outputs that are large arrays, of which rows have only references to their chunks."""
         return {}
 
-    def dimension_coordinates(self) -> dict[str, tuple[Any, str]]:
-        """Return the values along each dimension of outputs, and their unit."""
-        return {name: (np.array(labels, dtype=object), "") for name, labels in self.coordinates.items()}
+    def dimension_coordinates(self) -> dict[str, tuple[Any, str, str]]:
+        """Return the values along each dimension of outputs, their unit and their meaning."""
+        return {name: (np.array(labels, dtype=object), "", "") for name, labels in self.coordinates.items()}
 
     def shape_of(self, output: Output) -> tuple[int, ...]:
         """Return the shape of one value of an output."""

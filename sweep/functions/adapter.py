@@ -476,10 +476,10 @@ class FunctionExperiment(Experiment):
         """Return the ragged dimension of each output that has one."""
         return {} if self.layout is None else self.layout.ragged
 
-    def dimension_coordinates(self) -> dict[str, tuple[Any, str]]:
-        """Return the values along each dimension of results, and their unit."""
+    def dimension_coordinates(self) -> dict[str, tuple[Any, str, str]]:
+        """Return the values along each dimension of results, their unit and their meaning."""
         coordinates = () if self.layout is None else self.layout.coordinates
-        return {coordinate.name: (coordinate.array(), coordinate.unit) for coordinate in coordinates}
+        return {one.name: (one.array(), one.unit, one.meaning) for one in coordinates}
 
     def large(self) -> dict[str, np.dtype[Any]]:
         """Return the types of large results."""

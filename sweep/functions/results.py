@@ -25,7 +25,7 @@ DTYPES: dict[Type, str] = {"float": "<f8", "int": "<i8", "bool": "?", "datetime"
 NUMBERS: frozenset[Type] = frozenset({"float", "int"})
 """Types that are joined: the results of all points are floats where one of them is."""
 
-ALLOWED = "results are numbers, strings, truth values, times, arrays of these, or xarray objects"
+ALLOWED = "results are numbers (durations: seconds), strings, truth values, dates, arrays of these, or xarray objects"
 
 
 @dataclass(frozen=True)
@@ -39,6 +39,7 @@ class Coordinate:
     values: tuple[Any, ...] | int
     unit: str = ""
     ragged: bool = False
+    meaning: str = ""
 
     def __post_init__(self) -> None:
         """Keep only the count where a million numbers say no more."""
@@ -251,7 +252,8 @@ def coordinate_of(dim: str, values: Any) -> Coordinate:
         raise ResultError(f"has a coordinate {dim!r} that {error}") from error
     is_time = value.type == "datetime"
     numbers = value.array.view("i8") if is_time else value.array
-    return Coordinate(dim, value.type, tuple(numbers.tolist()), "" if is_time else unit or value.unit)
+    unit = "" if is_time else unit or value.unit
+    return Coordinate(dim, value.type, tuple(numbers.tolist()), unit, meaning=value.meaning)
 
 
 def is_xarray(value: object) -> bool:
@@ -573,7 +575,7 @@ def _coordinates(values: Mapping[str, Value], declared: Declared) -> tuple[dict[
     for name, value in values.items():
         for one in value.coordinates:
             before = known.setdefault(one.name, one)
-            known[one.name] = replace(before, unit=before.unit or one.unit)
+            known[one.name] = replace(before, unit=before.unit or one.unit, meaning=before.meaning or one.meaning)
             if (before.type, before.values) != (one.type, one.values):
                 wrong = f"{name!r} has other values along {one.name!r} than are declared or than another output"
                 problems[wrong] = None
@@ -620,4 +622,5 @@ def _check_finite(arrays: Sequence[NDArray[Any]], layout: Layout, declared: Decl
             problems.append(f"{field.name} has {n} times that are NaT")
     if problems:
         hint = "declare Output(..., nan=True) where that is a value"
+        hint += ", or what a MultiIndex of pandas lacks" * any(len(field.dims) > 1 for field in layout.fields)
         raise NotFiniteError(f"{declared.function}: {'; '.join(problems)} ({hint})")

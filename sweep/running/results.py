@@ -342,8 +342,8 @@ def _coordinates(grid: Grid) -> dict[str, Variable]:
             if kinds == {int} and any(missing):  # which a float may not hold
                 fill = missing_of(whole := np.array([value if type(value) is int else 0 for value in along]))
                 coordinates[name].data, coordinates[name].encoding[FILL] = np.where(missing, fill, whole), fill
-    for dimension, (values, unit) in experiment.dimension_coordinates().items():
-        about = described(unit, dimension.replace("_", " "))
+    for dimension, (values, unit, meaning) in experiment.dimension_coordinates().items():
+        about = described(unit, meaning or dimension.replace("_", " "))
         coordinates.setdefault(dimension, Variable((dimension,), np.asarray(values), about))
     for dimension, units in experiment.component_units.items():
         about = described("", f"unit of each {dimension.replace('_', ' ')}")

@@ -93,7 +93,8 @@ def test_what_holds_results(tmp_path):
 
 
 def test_xarray_keeps_dimensions_coordinates_units_and_what_stands_beside(tmp_path):
-    coords = {"time": ("time", [0.0, 1.5], {"units": "days"}), "who": ["a", "b"], "case": "nearest", "year": 1999}
+    about = {"units": "days", "long_name": "epoch"}
+    coords = {"time": ("time", [0.0, 1.5], about), "who": ["a", "b"], "case": "nearest", "year": 1999}
     attrs = {"units": "kg", "long_name": "mass"}
     array = xr.DataArray([[1.0, 2.0], [3.0, 4.0]], coords, ("time", "who"), "n", attrs)
     for result in (array, array.to_dataset()):
@@ -101,7 +102,7 @@ def test_xarray_keeps_dimensions_coordinates_units_and_what_stands_beside(tmp_pa
         assert ds.n.isel(case=0).values.tolist() == [[1.0, 2.0], [3.0, 4.0]]
         assert ds.year.item() == 1999  # case is the parameter
         assert (ds.n.dims, ds.n.units, ds.n.long_name) == (("case", "time", "who"), "kg", "mass")
-        assert (ds.time.values.tolist(), ds.time.units, ds.who.values.tolist()) == ([0.0, 1.5], "days", ["a", "b"])
+        assert (ds.time.values.tolist(), ds.time.attrs, ds.who.values.tolist()) == ([0.0, 1.5], about, ["a", "b"])
     turned = results_of({"a": array}, tmp_path, [Output("n", dims=("who", "time"))], fresh=True)
     assert turned.n.isel(case=0).values.tolist() == [[1.0, 3.0], [2.0, 4.0]]
 
@@ -116,7 +117,7 @@ REFUSED = {
     "complex array": ({"y": np.array([1j])}, "'y' is of type complex128"),
     "ragged": ({"y": [[1.0], [1.0, 2.0]]}, "'y' has parts of different lengths"),
     "nested": ({"y": {"z": 1.0}}, "'y' is a dict; results are not nested"),
-    "decimal": ({"y": Decimal(1)}, "'y' is of type Decimal; results are numbers, strings"),
+    "decimal": ({"y": Decimal(1)}, "'y' is of type Decimal; results are numbers (dur"),
     "objects": ({"y": np.array([1.0, None], dtype=object)}, "'y' is of type NoneType, float"),
     "a large int": ({"y": 2**63}, "'y' is 9223372036854775808; integers are below 2**63 in size"),
     "a large unsigned": ({"y": np.uint64(2**63)}, "integers are below 2**63 in size"),
@@ -124,7 +125,7 @@ REFUSED = {
     "a zone": ({"y": datetime.datetime(2024, 1, 1, tzinfo=datetime.UTC)}, "'y' is a time with the zone UTC"),
     "a coordinate with a zone": ({"y": ZONED}, "'y' has a coordinate 'index' of times with the zone Europe/Berlin"),
     "far times": ({"y": np.datetime64("9999-01-01")}, "beyond the years 1678 to 2261"),
-    "a duration": ({"y": np.timedelta64(3, "s")}, "'y' is of type timedelta64[s]"),
+    "a duration": ({"y": np.timedelta64(3, "s")}, "type timedelta64[s]; results are numbers (durations: seconds), "),
     "a surrogate": ({"y": "\ud800"}, "'y' is '\\ud800', which has a lone surrogate"),
     **{"no values": ({"y": []}, "'y' has no values"), "mixed": ({"y": [1, "a"]}, "'y' is of type int, str")},
     "a truth value among numbers": ({"y": [np.True_, 2.5]}, "'y' is of type bool, float"),
@@ -134,6 +135,7 @@ REFUSED = {
     "a time of astropy": ({"y": Time(2020.0, format="jyear")}, "'y' is of type Time"),
     "a coordinate of durations": (at_k(pd.to_timedelta([1], "h")), "a coordinate 'k' that is of type timedelta64"),
     "a coordinate that is NaN": (at_k([np.nan]), "'y' has a coordinate 'k' that has values that are not finite"),
+    "two levels": (pd.DataFrame({"y": [1.0, 2.0]}, [["p", "q"], [1, 2]]), "or what a MultiIndex of pandas lacks"),
     "like a parameter": ({"case": 1.0}, "output 'case': is the name of another parameter"),
     "a name of ours": ({"status": 1.0}, "output 'status': the platform gives this name"),
     "no name": ({1: 1.0}, "the name 1 of an output is no text"),
