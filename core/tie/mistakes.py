@@ -413,7 +413,7 @@ def _corrections(problem: Problem, table: str) -> Iterator[tuple[str, int, Chang
             yield f"{name} of {{}}, {unit}", 0, _scaled(rows, ratio, values=True)
             yield f"{name} and their errors of {{}}, {unit}", 0, _scaled(rows, ratio, values=True, errors=True)
     if table == "satellite" and problem.satellite.further is not None:
-        yield from _accelerations(problem.satellite.further)
+        yield from _accelerations()
     for ratio, unit in SMALLER.items():
         for name, rows in WITH_ERRORS.items() if ratio > 15.0 else ():
             yield f"errors of {name} of {{}} too small, {unit}", HIDES_ALL, _scaled(rows, ratio, errors=True)
@@ -424,18 +424,14 @@ def _changed(names: Sequence[str], change: Callable[[Any], Any]) -> Change:
     return lambda table: replace(table, **{name: change(getattr(table, name)) for name in names})
 
 
-def _accelerations(further: Array) -> Iterator[tuple[str, int, Change]]:
+def _accelerations() -> Iterator[tuple[str, int, Change]]:
     """Yield mistakes in the accelerations and orbits of the satellite and the changes that correct them."""
     changed = partial(_changed, ["further"])
 
     def times(value: float, error: float = 1.0, orbit: float = 1.0) -> Change:
-        factors = np.outer([value, error], [1.0, 1.0, 1.0, 1.0, orbit])
-        return changed(lambda both: both * factors[..., None])
+        return changed(partial(np.multiply, [[[value]] * 4 + [[orbit]], [[error]] * 4 + [[orbit]]]))
 
-    if np.any(further[1, 4] > 0.0):
-        yield "orbits of {} that the other table does not have", 0, times(1.0, orbit=0.0)
-    if not np.any(further[1, :4] > 0.0):
-        return
+    yield "orbits of {} that the other table does not have", 0, times(1.0, orbit=0.0)
     yield "accelerations of {} with reversed sign", 0, times(-1.0)
     yield "accel_ra and accel_dec of {} exchanged", 0, changed(lambda both: both[:, [1, 0, 3, 2, 4]])
     yield "accelerations of {} that are half of them, as factors of t^2", 0, times(2.0, 2.0)

@@ -200,10 +200,9 @@ def misfit(transits: Transits) -> Misfit:
     said = f"chi2 of the transits of {', '.join(map(str, transits.names[bad][:5]))}"
     said += " against the satellite's rows" if ratio > EXCESS and ratio == before[1, bad].max() else ""
     said += f" is {ratio if ratio > EXCESS else before[0, bad].min():.3g} times its expectation"
-    if causes:
-        return Misfit(ratio, f"{said}; {likely(causes, ALIKE)}")
-    unexplained = f"{UNEXPLAINED}, whose paths --star-model and --orbits give"
-    return Misfit(ratio, f"{said}; {unexplained if ratio > EXCESS else 'errors or excess noise are too large'}")
+    unknown = f"{UNEXPLAINED}, whose paths --star-model and --orbits give"
+    unknown = unknown if ratio > EXCESS else "errors or excess noise are too large"
+    return Misfit(ratio, f"{said}; {likely(causes, ALIKE) if causes else unknown}")
 
 
 def _corrections(transits: Transits, bad: Flags) -> Iterator[tuple[str, Change]]:

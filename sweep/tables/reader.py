@@ -514,10 +514,7 @@ def _from_arrow(arrow: Any, columns: Sequence[str] | None = None) -> Any:
 
 
 def write_table(table: Any, path: Path) -> None:
-    """Write an astropy Table as the suffix says; what is masked is null in Parquet, where astropy has columns of masks.
-
-    Raises ValueError or TypeError for what the format cannot hold.
-    """
+    """Write an astropy Table as the suffix says; what is masked is null in Parquet, where astropy adds masks."""
     has_gaps = table.has_masked_values
     truths = [name for name, column in table.columns.items() if np.ma.is_masked(column) and column.dtype.kind == "b"]
     if truths and path.suffix == ".fits":
@@ -525,7 +522,6 @@ def write_table(table: Any, path: Path) -> None:
     if path.suffix != ".parquet" or not has_gaps:
         (table if has_gaps else table.filled()).write(path)
         return
-    import pyarrow
     import pyarrow.parquet
 
     fields, arrays = [], []

@@ -5,7 +5,6 @@ further observations would do to it, and which sources to observe; `apply`: a ta
 import logging
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -670,6 +669,7 @@ def _scaled(values: Iterable[float], goal: planning.Goal) -> Array:
 FORMATS = (".csv", ".ecsv", ".fits", ".parquet")
 
 ROTATION = link_unknowns()
+OFF_POLE = np.pi / 2.0 - 2.0 * POLE_LIMIT  # beyond which a rotation turns axes by any angle
 
 
 def apply(
@@ -743,7 +743,7 @@ def apply(
     raw.meta["comments"] = [*raw.meta.get("comments", []), *notes]
     if output is not None:
         try:
-            write_at_once(output, partial(write_table, raw))  # it warns of long names in a FITS header
+            write_at_once(output, lambda path: write_table(raw, path))  # it warns of long names in a FITS header
         except (ValueError, TypeError, AttributeError, NotImplementedError) as error:  # each format has its own
             raise SweepError(f"{output.suffix} cannot hold the table: {error}; write .ecsv", str(output)) from error
     return raw
@@ -796,9 +796,7 @@ def _moved(stars: Astrometry, link: xr.Dataset, inverse: bool) -> dict[str, Arra
     # in -180..180 deg where the table is
     values[:2] = (ra + np.pi) % (2.0 * np.pi) - np.pi if np.any(values[0] < 0.0) else ra, dec
     values[3:] = np.where(np.isfinite(values[3:]), [np.sum(axis * velocity.T, axis=0) for axis in axes], np.nan)
-    off_pole = np.clip(
-        dec, 2.0 * POLE_LIMIT - np.pi / 2.0, np.pi / 2.0 - 2.0 * POLE_LIMIT
-    )  # nearer, axes turn by any angle
+    off_pole = np.clip(dec, -OFF_POLE, OFF_POLE)
     effect = ROTATION.matrix(Objects(ra, off_pole, *np.nan_to_num(values[3:])), years) * stars.present.T[..., None]
     # the axes of errors turn too, by so little (1e-7) that their covariance does not change
     whole = stars.covariance()

@@ -711,12 +711,11 @@ def read_observations(path: Path) -> tuple[Any, list[str]]:
         return np.isin(np.arange(len(table)), frame.index[flags])
 
     for name, (unit, used, low, most) in units.items():
-        by = Unit(unit).to(used)
-        wrong = frame[name].notna() & ~frame[name].between(low * by, most * by)
-        read.check(rows(wrong), f"{name} outside {low:g}..{most:g} {unit}".rstrip())
-    for name in known:
-        if number := (gone := frame[name].isna()).sum():
-            said = f"{path.name}: {number} observations have no {name} and are not used, in row"
+        by, gone = Unit(unit).to(used), frame[name].isna()
+        wrong = rows(~gone & ~frame[name].between(low * by, most * by))
+        read.check(wrong, f"{name} outside {low:g}..{most:g} {unit}".rstrip())
+        if name in known and gone.any():
+            said = f"{path.name}: {gone.sum()} observations have no {name} and are not used, in row"
             read.notes.append(f"{said} {archives.rows_listed(rows(gone))}")
     frame = frame.dropna(subset=known, ignore_index=True)
     low, high = frame["obs_time_tcb"].min(), frame["obs_time_tcb"].max()
@@ -832,32 +831,29 @@ def _orbits(place: Mapping[str, int], path: Path, epoch: float, notes: list[str]
     start = read.numbers("ref_epoch") if "ref_epoch" in table.colnames else epoch
     julian = 2000.0 + (time - np.where(time > archives.JD_FROM, 2451545.0, 51544.5)) / core.DAYS_PER_YEAR
     periastron = np.where(time > archives.MJD_FROM, julian, start + time / core.DAYS_PER_YEAR) - epoch
-    planes = np.array([_plane(read, shape) for shape in shapes])
-    whole = np.isfinite(planes).all(axis=(2, 3))
-    planes[~whole] = np.eye(2)
-    planes /= np.linalg.norm(planes, ord=2, axis=(2, 3), keepdims=True)  # the largest singular value is the semi-axis
+    planes = []
+    if THIELE_INNES in shapes:
+        planes.append(np.array([read.numbers(name) for name in THIELE_INNES]).T.reshape(-1, 2, 2))
+    if CAMPBELL in shapes:
+        angles = [read.numbers(name) * Unit(table[name].unit or "deg").to("rad") for name in CAMPBELL]
+        planes.append(Rotation.from_euler("ZXZ", np.array(angles).T).as_matrix()[:, :2, :2].swapaxes(1, 2))
+    whole = np.isfinite(np.array(planes)).all(axis=(2, 3))
+    plane = np.where(whole[..., None, None], planes, np.eye(2))
+    plane /= np.linalg.norm(plane, ord=2, axis=(2, 3), keepdims=True)  # the largest singular value is the semi-axis
     rows = np.array([place.get(name, -1) for name in read.text(str(star))])
     used = (rows >= 0) & whole.any(axis=0)
     if np.any(gone := (rows >= 0) & ~used):
         notes.append(f"{path.name}: no orbit on the sky, and so none that is used, in row {archives.rows_listed(gone)}")
-    orbit = np.array([period, e, periastron, *planes[whole.argmax(axis=0), np.arange(len(rows))].reshape(-1, 4).T])
+    orbit = np.array([period, e, periastron, *plane[whole.argmax(axis=0), np.arange(len(rows))].reshape(-1, 4).T])
     closed = (period > 0.0) & (e >= 0.0) & (e < 1.0) & np.isfinite(periastron)
     read.check(used & ~closed, "a period, an eccentricity or other elements of no orbit")
-    unlike = whole.all(axis=0) & (np.abs(planes[0] - planes[-1]).max(axis=(1, 2)) > 0.02)
+    unlike = whole.all(axis=0) & (np.ptp(plane, axis=0).max(axis=(1, 2)) > 0.02)
     read.check(used & unlike, "Thiele-Innes elements and angles of two orbits")
     stars, number = np.unique(rows[used], return_counts=True)
     read.check(used & np.isin(rows, stars[number > 1]), "one of several orbits of a star")
     read.problems += [] if len(stars) else ["has no whole orbit of a star with observations"]
     read.finish()
     return {row: orbit[:, k] for k, row in enumerate(rows.tolist()) if used[k]}
-
-
-def _plane(read: Columns, shape: Sequence[str]) -> Array:
-    """Return the Thiele-Innes elements (N, 2, 2) of orbits, of any scale."""
-    if shape == THIELE_INNES:
-        return np.array([read.numbers(name) for name in shape]).T.reshape(-1, 2, 2)
-    angles = [read.numbers(name) * Unit(read.table[name].unit or "deg").to("rad") for name in shape]
-    return np.asarray(Rotation.from_euler("ZXZ", np.array(angles).T).as_matrix()[:, :2, :2].swapaxes(1, 2))
 
 
 def described(epochs: Epochs, problem: Problem, solution: Solution, factors: Array | Flags) -> dict[str, Any]:
