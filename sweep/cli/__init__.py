@@ -375,6 +375,8 @@ class _Group(click.Group):
                 sys.stdout.flush()
                 if (problem := getattr(sys.stdout, "problem", None)) is None:
                     raise
+                if problem.errno == errno.EPIPE:
+                    sys.exit(128 + signal.SIGPIPE)
                 click.echo(f"error: standard output cannot be written: {problem.strerror}", err=True)
                 sys.exit(end.code or EXIT_BAD_INPUT)
             finally:
@@ -505,7 +507,7 @@ def _kill_children() -> None:
 class _Unfailing(io.TextIOWrapper):
     """A stream that keeps the first ``problem`` of writing to it instead of raising it.
 
-    The error that the reader has gone, as `head` does, is still raised: click then ends the command quietly.
+    That the reader of results has gone, as `head` does, is raised once: click then ends the command quietly.
     """
 
     problem: OSError | None = None
@@ -524,9 +526,9 @@ class _Unfailing(io.TextIOWrapper):
         try:
             yield
         except OSError as error:
-            if error.errno == errno.EPIPE:
+            is_first, self.problem = self.problem is None, self.problem or error
+            if is_first and error.errno == errno.EPIPE and self.fileno() != 2:
                 raise
-            self.problem = self.problem or error
 
 
 class _Harmless:
@@ -585,10 +587,10 @@ def prepare_streams() -> None:
     for descriptor, name in ((out, "stdout"), (2, "stderr")):
         stream = getattr(sys, name)
         if stream is None or isinstance(stream, io.TextIOWrapper):
-            lines, through = (getattr(stream, kind, False) for kind in ("line_buffering", "write_through"))
-            file = open(descriptor, "wb", 0 if through else -1, closefd=False)  # noqa: SIM115
-            encoding = getattr(stream, "encoding", "utf-8")
-            setattr(sys, name, _Unfailing(file, encoding, "backslashreplace", None, lines, through))
+            # Without a buffer, what does not go out in one write would be lost.
+            lines = any(getattr(stream, kind, False) for kind in ("line_buffering", "write_through"))
+            file = open(descriptor, "wb", closefd=False)  # noqa: SIM115
+            setattr(sys, name, _Unfailing(file, getattr(stream, "encoding", "utf-8"), "backslashreplace", None, lines))
 
 
 def put(text: str = "") -> None:

@@ -56,6 +56,16 @@ def test_a_full_device_is_one_sentence(store, command, unbuffered):
     assert shell(">/dev/full", *command.replace("STORE", str(store)).split(), unbuffered=unbuffered) == (2, "", SAID)
 
 
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_a_reader_that_goes_ends_a_command_as_any_other(unbuffered):
+    command = [sys.executable, "-m", "linksweep", "params", "linksweep.core.experiment:link", "--schema"]
+    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "bufsize": 0}
+    with subprocess.Popen(command, env=os.environ | {"PYTHONUNBUFFERED": unbuffered}, **streams) as process:
+        process.stdout.read(10)  # there is more than a pipe holds
+        process.stdout.close()
+        assert (process.stderr.read(), process.wait()) == (b"", 141)
+
+
 @pytest.mark.parametrize("redirection", [*map(slow, [">&-", "2>&-", ">&- 2>&-", "2>/dev/full"]), "<&- >&- 2>&-"])
 @pytest.mark.parametrize("command", ["list", *map(slow, ("show STORE", "status STORE --json"))])
 def test_streams_that_nobody_reads_are_no_problem(store, command, redirection):
