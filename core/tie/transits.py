@@ -13,20 +13,9 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from linksweep.core.frames import DEGREE, Array, Flags, Indices, LinkError, Names, Texts
-from linksweep.core.tie import astrometry
+from linksweep.core.tie import astrometry, mistakes
 from linksweep.core.tie.astrometry import FURTHER, Astrometry, Differences, bends, by_errors, differences
-from linksweep.core.tie.mistakes import (
-    EXCESS,
-    GOOD,
-    LARGER,
-    SMALLER,
-    UNEXPLAINED,
-    Cause,
-    Misfit,
-    best_shift,
-    explains,
-    likely,
-)
+from linksweep.core.tie.mistakes import EXCESS, LARGER, SMALLER, Cause, Misfit, best_shift, explains, likely
 from linksweep.core.tie.problem import inverted
 from linksweep.core.unknowns import PARAMETERS
 
@@ -72,17 +61,16 @@ class Transits:
     """N observations of S stars, sorted by ``star`` (N,).
 
     ``observed`` (N,) are by the name that Gaia's archive has: parallax_factor_al F, scan_pos_angle psi (from north
-    through east), centroid_pos_al w and centroid_pos_error_al in rad, colour_factor_al c in rad nm; transit_id numbers
-    the passages over the field of view, and relative_time_year is from ``epoch`` (Julian years).  ``models`` (S,) are
-    those of `MODELS`, ``orbit`` (7, S) as in `bends`, ``noise`` (S,) is added to the errors in quadrature (rad),
-    ``origin`` (2, S) are the reference positions, and ``catalogue`` has the rows of the stars.
+    through east), centroid_pos_al w, centroid_pos_error_al and in quadrature agis_source_excess_noise in rad,
+    colour_factor_al c in rad nm; transit_id numbers the passages over the field of view, and relative_time_year is from
+    ``epoch`` (Julian years).  ``models`` (S,) are those of `MODELS`, ``orbit`` (7, S) as in `bends`, ``origin`` (2, S)
+    are the reference positions, and ``catalogue`` has the rows of the stars.
     """
 
     star: Indices
     observed: Mapping[str, Array]
     models: Texts
     orbit: Array
-    noise: Array
     origin: Array
     epoch: float
     names: Names
@@ -90,7 +78,7 @@ class Transits:
 
     def weights(self) -> Array:
         """Return the weight of each observation, rad^-2."""
-        return np.asarray(1.0 / (self.observed[ERROR] ** 2 + self.noise[self.star] ** 2))
+        return np.asarray(1.0 / (self.observed[ERROR] ** 2 + self.observed[NOISE] ** 2))
 
     def design(self) -> Array:
         """Return the derivatives of w by the parameters `PATH`; shape (N, 11)."""
@@ -146,9 +134,8 @@ class Transits:
 
         ``change`` are factors and summands of quantities that are changed before.
         """
-        changed = {name: self.observed[name] * by + plus for name, (by, plus) in change.items() if name != NOISE}
-        noise, every = self.noise * change.get(NOISE, (1.0, 0.0))[0], np.arange(len(self.models))
-        trial = replace(self, observed={**self.observed, **changed}, noise=noise)
+        changed = {name: self.observed[name] * by + plus for name, (by, plus) in change.items()}
+        trial, every = replace(self, observed={**self.observed, **changed}), np.arange(len(self.models))
         try:
             bent, straight = trial.paths(), trial.paths(straight=True)
         except LinkError:
@@ -191,16 +178,14 @@ def misfit(transits: Transits) -> Misfit:
         return Misfit()
     ratio = float(before[:, bad].max())
     for words, change in _corrections(transits, bad):
-        every, hides = transits.ratios(change), "too small" in words  # which would hide any mistake
-        after, left = every[:, bad], float(every[:, bad].max())
-        if hides and not (len(bad) > 1 and LOW < np.median(every[0]) < GOOD):  # a unit of errors is that of all stars
-            continue
+        after = transits.ratios(change)[:, bad]
+        left = float(after.max())
         if after[0].min() > LOW and left < EXCESS and (ratio < EXCESS or explains(left, ratio)):
-            causes.append(Cause(words, left, hides))
+            causes.append(Cause(words, left, hides="too small" in words))  # which would hide any mistake
     said = f"chi2 of the transits of {', '.join(map(str, transits.names[bad][:5]))}"
     said += " against the satellite's rows" if ratio > EXCESS and ratio == before[1, bad].max() else ""
     said += f" is {ratio if ratio > EXCESS else before[0, bad].min():.3g} times its expectation"
-    unknown = f"{UNEXPLAINED}, whose paths --star-model and --orbits give"
+    unknown = f"{mistakes.UNEXPLAINED}, whose paths --star-model and --orbits give"
     unknown = unknown if ratio > EXCESS else "errors or excess noise are too large"
     return Misfit(ratio, f"{said}; {likely(causes, ALIKE) if causes else unknown}")
 
@@ -211,7 +196,8 @@ def _corrections(transits: Transits, bad: Flags) -> Iterator[tuple[str, Change]]
     for factor, unit in (SMALLER | LARGER).items():
         yield f"positions along the scan, {unit}", {VALUE: (factor, 0.0)}
         yield f"positions along the scan and their errors, {unit}", {VALUE: (factor, 0.0), ERROR: (factor, 0.0)}
-        yield f"errors too {'small' if factor > 1.0 else 'large'}, {unit}", {ERROR: (factor, 0.0)}
+        if factor < 1.0 or (bad.all() and len(bad) > 1):  # errors are too small for all stars, or for none
+            yield f"errors too {'small' if factor > 1.0 else 'large'}, {unit}", {ERROR: (factor, 0.0)}
     yield "excess noise, uas taken for mas", {NOISE: (1e-3, 0.0)}
     passage, time = transits.observed["transit_id"], transits.epoch + transits.observed["relative_time_year"]
     squares = np.bincount(passage, transits.weights() * transits.paths().residuals ** 2)[passage]

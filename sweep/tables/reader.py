@@ -524,14 +524,7 @@ def write_table(table: Any, path: Path) -> None:
         return
     import pyarrow.parquet
 
-    fields, arrays = [], []
-    for name, column in table.columns.items():
-        values = np.ma.asarray(column)
-        plain = values.dtype.kind in "fiub"
-        kind = pyarrow.from_numpy_dtype(values.dtype.newbyteorder("=")) if plain else pyarrow.string()
-        for _ in values.shape[1:]:
-            kind = pyarrow.list_(kind)
-        fields.append(pyarrow.field(name, kind, metadata={"unit": str(column.unit or "")}))
-        arrays.append(pyarrow.array(values.tolist(), kind))
+    arrow = pyarrow.Table.from_pandas(table.to_pandas(), preserve_index=False)
+    fields = [one.with_metadata({"unit": str(table[one.name].unit or "")}) for one in arrow.schema]
     schema = pyarrow.schema(fields, {"linksweep": json.dumps(table.meta, default=str)})
-    pyarrow.parquet.write_table(pyarrow.table(arrays, schema=schema), path)
+    pyarrow.parquet.write_table(arrow.cast(schema), path)

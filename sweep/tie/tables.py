@@ -774,7 +774,7 @@ def with_observations(
     changes = {name: names[rows][(of_star[name].nunique(dropna=False) > 1).to_numpy()] for name in PER_STAR}
     if problems := [f"{name} changes within {first_of([*at], 5)}" for name, at in changes.items() if len(at)]:
         raise SweepError(problems, where)
-    *origin, noise = of_star.first().to_numpy().T
+    *origin, _ = of_star.first().to_numpy().T
     blank = np.isnan(origin).any(axis=0)
     if np.any(other := blank & (stars.epoch != epoch)):
         said = f"the observations are from positions at {epoch:g}, and the rows have those at {stars.epoch[other][0]:g}"
@@ -783,13 +783,14 @@ def with_observations(
     used = set(rows.tolist())
     model, orbit = _models({name: k for name, k in place.items() if k in used}, models, orbits, epoch, notes)
     observed = {str(name): frame[name].to_numpy() for name in frame.select_dtypes("number")}
-    transits = Transits(star, observed, model, orbit, noise, origin, epoch, names[rows], stars)
+    transits = Transits(star, observed, model, orbit, origin, epoch, names[rows], stars)
     try:
         paths = transits.paths()
         for _ in range(3 if np.any(model != "5") else 0):  # AGIS has no other path, so that its noise is what is left
             each = ((star == s, max(paths.dof[s], 1.0)) for s in range(len(rows)))
             left_over = [estimate_excess_noise(paths.residuals[at], observed[ERROR][at], 1.0, n) for at, n in each]
-            transits = replace(transits, noise=np.where(model == "5", noise, np.minimum(noise, left_over)))
+            least = np.where(model == "5", np.inf, left_over)[star]
+            transits = replace(transits, observed=observed | {NOISE: np.minimum(observed[NOISE], least)})
             paths = transits.paths()
         doubt = misfit(transits)
     except LinkError as error:
