@@ -676,8 +676,7 @@ def _in_units(columns: Cells, units: Mapping[str, str], values: Values, where: K
             missing = np.array([cell is None for cell in columns[name]])
             if missing.any() and not parameter.optional and not parameter.when:
                 raise ValueError(f"has no value in row {rows_listed(missing)}")
-            theirs = units.get(name, "")
-            right[name] = in_unit(columns[name], theirs, parameter) if theirs else columns[name]
+            right[name] = in_unit(columns[name], units[name], parameter) if units.get(name) else columns[name]
     return right
 
 

@@ -120,11 +120,7 @@ pointed = experiment()(lambda point=1.0, k=1: point * k)
 ALL_WRONG = [
     *((f, {"points": points}, problem) for points, problem in WRONG),
     *((far, {"axes": {"distance": [1], "n": some}}, GIVE) for some in (HERE, HERE.values * u.s)),
-    (
-        far,
-        {"points": {"distance": [1], "n": [1 * u.km]}},
-        "points.columns.n: row 1: is in km, and the parameter has no",
-    ),
+    (far, {"points": {"distance": [1], "n": [1 * u.km]}}, "points.columns.n: row 1: is in km, and the parameter"),
     (far, {"points": {"design": "random", "n": 1, "ranges": {"distance": HERE}}}, "distance: is in km; give numbers"),
     (far, {"axes": {"distance": [1.0] * u.s}}, "axes.distance: is in s, and the parameter is in m"),
     (far, {"points": DISTANCES}, "points.columns.distance: has no value in row 2"),
@@ -180,10 +176,8 @@ def test_a_design_of_no_power_of_two_and_conditions_of_nothing_are_warned_of(swe
 
 
 KM = HERE.values * u.km
-CARRIED = [
-    (far, "axes", one) for one in (HERE, [*HERE], Table({"d": KM})["d"], {"start": KM[0], "stop": KM[1], "num": 2})
-]
-CARRIED += [(far, "points", HERE), (far, "points", [*HERE]), (far, "fixed", HERE[1])]
+CARRIED = [(far, "axes", one) for one in (Table({"d": KM})["d"], {"start": KM[0], "stop": KM[1], "num": 2})]
+CARRIED += [(far, key, some) for key in ("axes", "points") for some in (HERE, [*HERE])] + [(far, "fixed", HERE[1])]
 CARRIED += [(f, *one) for f in (far, measured) for key in ("axes", "points") for one in ((key, KM), (key, [*KM]))]
 
 
