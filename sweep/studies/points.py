@@ -43,8 +43,8 @@ from linksweep.sweep.tables.reader import BRACKETS, read_table
 MAX_VALUES = 1_000_000
 """The most values of an axis, and the most rows of a table of points."""
 
-NEAR = 1e-14
-"""Relative difference of numbers that are meant to be the same: that of 15 digits, and of sums of a few terms."""
+NEAR = 1e-12
+"""Relative difference of numbers that are meant to be the same."""
 
 MORRIS_LEVELS = 4
 """Values of each parameter in a Morris design; an even number."""

@@ -113,7 +113,7 @@ def test_midpoints_are_values_of_the_axis_in_its_own_spacing():
     for within in (1e-6, 1e-300):
         ds = linksweep.refine(inverse, "s.zarr", axes={"x": [2460000.0, 2460001.0]}, within=within, **goal)
         near = np.sort(abs(ds.x.values - 2459999.0 - 1.0 / 0.6))
-        assert 1e-9 < near[1] < max(within, 1e-7)
+        assert 1e-9 < near[1] < max(within, 5e-6)
 
 
 def test_a_point_gets_realisations_rather_than_neighbours_below_its_error_and_no_more_than_a_fifth_are_spent():
