@@ -524,6 +524,7 @@ def write_table(table: Any, path: Path) -> None:
         return
     import pyarrow.parquet
 
+    table.convert_bytestring_to_unicode()  # which FITS has
     arrow = pyarrow.Table.from_pandas(table.to_pandas(), preserve_index=False)
     fields = [one.with_metadata({"unit": str(table[one.name].unit or "")}) for one in arrow.schema]
     schema = pyarrow.schema(fields, {"linksweep": json.dumps(table.meta, default=str)})
