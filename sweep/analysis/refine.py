@@ -206,9 +206,8 @@ def looked_at(asked: Study, now: Study, rounds: Sequence[Round], goal: Goal, dat
     spent = int(dataset["n_sim_done"].sum() if numbers else (status == Status.DONE).sum())
     there = sorted(value for value in now.axes[over] if value is not None)
     finest = finest if is_find else float(np.diff(there).min())
-    closest = max(finest, NEAR * max(map(abs, axis)))
-    per_line = max(len(axis), math.floor((axis[-1] - axis[0]) / closest * ROUNDING) + 1)
-    each = math.prod(numbers.values())
+    per_line = math.floor((axis[-1] - axis[0]) / max(finest, NEAR * max(map(abs, axis))) * ROUNDING) + 1
+    per_line, each = max(per_line, len(axis)), math.prod(numbers.values())
     full = per_line * (status.size // dataset[over].size) * each
     gaps.sort(key=lambda gap: -gap[0])  # what is known least comes first, as there may not be points for all
     affordable = None if most is None else max(0, most - spent) // each

@@ -516,18 +516,17 @@ class Writer:
         done = int(np.count_nonzero(status == Status.DONE))
         if not (status == Status.MISSING).any():
             self._provenance.pop("repaired", None)
-        warnings, sampling = [*self.plan.grid.warnings], self.plan.grid.study.sampling
-        is_coarse = self.plan.grid.with_repeats(self.accumulator.is_coarse) & (status == Status.DONE)
-        if coarse := int(np.count_nonzero(is_coarse)):
-            why = f"did not reach precision = {sampling.precision:g} with max_n_sim = {sampling.most}"
-            warnings.append(f"{coarse:,} of {counted(points, 'point')} {why}")
+        sampling = self.plan.grid.study.sampling
+        coarse = np.count_nonzero(self.plan.grid.with_repeats(self.accumulator.is_coarse) & (status == Status.DONE))
+        which = f"{coarse:,} of {counted(points, 'point')} did not reach precision = {sampling.precision}"
+        warnings = [f"{which} with max_n_sim = {sampling.most}"] if coarse else []
         return self._provenance | {
             "finished": now(),
             "points": points,
             "points_done": done,
             "complete": int(points == done or self._has_its_part()),
             "failures": json.dumps(self.failures(MAX_FAILURES_NAMED)),
-            "warnings": json.dumps(warnings),
+            "warnings": json.dumps([*self.plan.grid.warnings, *warnings]),
         }
 
     def _has_its_part(self) -> bool:

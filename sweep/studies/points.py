@@ -262,9 +262,7 @@ def require_distinct(values: Sequence[Value], may_repeat: bool = False) -> None:
         raise ValueError(f"{inexact} cannot stand beside numbers with a fraction: no float equals it")
     for one, other in pairwise(numbers):
         if are_near(one, other) and (type(one) is not type(other) if one == other else not may_repeat):
-            raise ValueError(
-                f"{one!r} and {other!r} are equal but for rounding; they would be two points: give one of them"
-            )
+            raise ValueError(f"{one!r} and {other!r}, two points, are equal but for rounding: give one of them")
 
 
 def _is_log(spec: Mapping[str, Any], *ends: float) -> bool:

@@ -110,10 +110,8 @@ def test_midpoints_are_values_of_the_axis_in_its_own_spacing():
     log = linksweep.refine(inverse, axes={"x": [1.0, 100.0, 1e4]}, find="inverse < 0.0005", within=500.0, pool="serial")
     assert rounds(log)[0]["points"] == [{"x": 1000.0}]
     goal = {"fixed": {"less": 2459999.0}, "find": "inverse < 0.6", "pool": "serial"}  # dates go on until they are equal
-    for within in (1e-6, 1e-300):
-        ds = linksweep.refine(inverse, "s.zarr", axes={"x": [2460000.0, 2460001.0]}, within=within, **goal)
-        near = np.sort(abs(ds.x.values - 2459999.0 - 1.0 / 0.6))
-        assert 1e-9 < near[1] < max(within, 5e-6)
+    ds = linksweep.refine(inverse, axes={"x": [2460000.0, 2460001.0]}, within=1e-300, **goal)
+    assert 1e-9 < np.sort(abs(ds.x.values - 2459999.0 - 1.0 / 0.6))[1] < 5e-6
 
 
 def test_a_point_gets_realisations_rather_than_neighbours_below_its_error_and_no_more_than_a_fifth_are_spent():
@@ -152,8 +150,7 @@ def high(rng, x: float):
 def test_points_whose_errors_are_not_known_get_realisations_and_no_neighbours():
     goal = {"axes": {"x": [0.0, 0.6, 2.0]}, "sampling": {"n_sim": 200, "seed": 1}, "pool": "serial"}
     ds = linksweep.refine(high, "q.zarr", find="y_q99 > 3", within=0.001, max_realisations=2000, **goal)
-    assert rounds(ds)[0]["points"] == []
-    assert ds["y_q99_mc_error"].sel(x=0.6).notnull()
+    assert (rounds(ds)[0]["points"], ds["y_q99_mc_error"].sel(x=0.6).notnull()) == ([], True)
     with pytest.raises(SweepError, match="y_max has no Monte-Carlo error"):
         linksweep.refine(high, "q.zarr", find="y_max > 3", within=0.01, **goal)
 
@@ -197,8 +194,7 @@ def test_what_is_stopped_in_any_round_goes_on_to_the_same_bits(after, pool):
             ds = linksweep.refine(noisy, "stopped.zarr", **goal, pool=pool, progress=Stopping(after + 1))
         after += 3
     stopped = linksweep.open("stopped.zarr")
-    assert all(bare(one).equals(bare(whole)) for one in (ds, stopped))
-    assert rounds(ds) == rounds(whole)
+    assert (bare(ds).equals(bare(whole)), bare(stopped).equals(bare(whole)), rounds(ds)) == (True, True, rounds(whole))
 
 
 def test_points_that_fail_end_the_cutting_and_a_condition_on_a_conditional_axis_leaves_other_points_alone():
@@ -216,8 +212,8 @@ def test_points_that_fail_end_the_cutting_and_a_condition_on_a_conditional_axis_
     axes = {"name": ["flat", "rbf"], "width": [0.0, 0.5, 1.0]}
     study = {"experiment": kernel, "axes": axes, "when": {"width": {"name": ["rbf"]}}}
     ds = linksweep.refine(study, find="kernel > 0.3", within=0.1, along="width", pool="serial")
-    assert (ds.sel(name="rbf").status.values == 1).sum() == ds.sizes["width"] - 1
-    assert (ds.sel(name="flat").status.values == 1).sum() == 1
+    done = (ds.status == 1).sum("width")
+    assert (done.sel(name="rbf"), done.sel(name="flat")) == (ds.sizes["width"] - 1, 1)
 
 
 @pytest.mark.parametrize(("goal", "words"), GOALS)
@@ -233,9 +229,8 @@ def test_the_command_says_what_is_known_and_what_it_took(sweep, tmp_path):
     status, _, err = sweep(*command, "--plan", cwd=tmp_path)
     assert (status, "5 points to compute first" in err, (tmp_path / "s.zarr").exists()) == (2, True, False)
     sweep("run", *command[1:4], "-o", "s.zarr", cwd=tmp_path)
-    before = files_of(tmp_path)
-    assert "round 1: 1 new point" in sweep(*command, "--plan", cwd=tmp_path, code=0)[2]
-    assert files_of(tmp_path) == before
+    before, said = files_of(tmp_path), sweep(*command, "--plan", cwd=tmp_path, code=0)[2]
+    assert ("round 1: 1 new point" in said, files_of(tmp_path)) == (True, before)
     status, out, err = sweep(*command, cwd=tmp_path)
     assert (status, "round 1: 1 new point" in err, "step > 0.5" in out) == (0, True, True), err
     report = json.loads(sweep(*command, "--json", cwd=tmp_path)[1])

@@ -59,8 +59,8 @@ def test_a_full_device_is_one_sentence(store, command, unbuffered):
 @pytest.mark.parametrize("unbuffered", ["", "1"])
 def test_a_reader_that_goes_ends_a_command_as_any_other(unbuffered):
     command = [sys.executable, "-m", "linksweep", "params", "linksweep.core.experiment:link", "--schema"]
-    streams = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "bufsize": 0}
-    with subprocess.Popen(command, env=os.environ | {"PYTHONUNBUFFERED": unbuffered}, **streams) as process:
+    how = {"stdout": -1, "stderr": -1, "bufsize": 0, "env": os.environ | {"PYTHONUNBUFFERED": unbuffered}}
+    with subprocess.Popen(command, **how) as process:
         process.stdout.read(10)  # there is more than a pipe holds
         process.stdout.close()
         assert (process.stderr.read(), process.wait()) == (b"", 141)
