@@ -7,7 +7,6 @@ import pytest
 from astropy.table import Table
 
 import linksweep
-from linksweep import SweepError
 from tests.core import points
 from tests.core.points import MISSIONS, OTHER, Function, Named, evaluated, link, mission_from_table, point, table_file
 
@@ -142,7 +141,7 @@ def test_what_acts_on_what_is_not_measured_is_unused(fixed):
 
 @pytest.mark.parametrize(("fixed", "sentence"), WRONG)
 def test_a_study_is_told_what_is_wrong_and_nothing_is_written(fixed, sentence, tmp_path):
-    with pytest.raises(SweepError) as error:
+    with pytest.raises(linksweep.SweepError) as error:
         linksweep.run({"title": "", "fixed": {"n_obj": 9} | fixed}, tmp_path / "never.zarr", pool="serial")
     assert sentence in " ".join(error.value.problems)
     assert not list(tmp_path.iterdir())

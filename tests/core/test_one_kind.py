@@ -5,7 +5,6 @@ import pytest
 from astropy.table import Table
 
 from tests.core import points
-from tests.core.points import link, table_file
 from tests.core.reference import design_matrix, solve
 
 N_OBJ = 12
@@ -24,8 +23,8 @@ def point(folder, kind, correlated=False, **changes):
     columns |= {"pmra": MOTIONS[0], "pmdec": MOTIONS[1], f"{first}_error": ERRORS[0], f"{second}_error": ERRORS[1]}
     columns |= {f"{first}_{second}_corr": CORRELATION} if correlated else {}
     Table(columns).write(folder / "one.ecsv", overwrite=True)
-    file = {"catalogue": "file", "file": table_file(folder / "one.ecsv"), "n_obj": None}
-    return link.defaults() | file | {"satellite_errors": "none", "reference_errors": "catalogue"} | changes
+    file = {"catalogue": "file", "file": points.table_file(folder / "one.ecsv"), "n_obj": None}
+    return points.link.defaults() | file | {"satellite_errors": "none", "reference_errors": "catalogue"} | changes
 
 
 def results(*here):
@@ -51,7 +50,7 @@ def test_one_kind_of_observable_is_solved_alone(kind, weighting, side, method, c
     other = {"reference": "satellite", "satellite": "reference"}[side]
     errors = {f"{side}_errors": "catalogue", f"{other}_errors": "none"}
     at = point(tmp_path, kind, correlated, weighting=weighting, method=method, **errors)
-    assert link.check(at) is None
+    assert points.link.check(at) is None
     found, n_sim = results(at), 2000
     expected = sandwich(weighting, correlated)
     (name, part), (name_beside, beside) = (SOLVED[kind], SOLVED[({*NAMES} - {kind}).pop()])
@@ -92,7 +91,7 @@ def test_the_orientation_that_turns_motions_is_taken_as_known(corrections, metho
 def test_the_spin_has_the_numbers_that_it_has_beside_positions():
     """What is determined does not change with the other kind, nor with who shares the block."""
     three = [{}, {"satellite_sigma_pos": 0.0}, {"satellite_sigma_pm": 0.0}]
-    three = [link.defaults() | {"satellite_errors": "normal", "n_obj": 20} | changes for changes in three]
+    three = [points.link.defaults() | {"satellite_errors": "normal", "n_obj": 20} | changes for changes in three]
     together, alone = results(*three), [results(one) for one in three]
     for name, values in together.items():
         np.testing.assert_array_equal(values, np.concatenate([one[name] for one in alone]), err_msg=name)
@@ -104,17 +103,17 @@ def test_the_spin_has_the_numbers_that_it_has_beside_positions():
 
 def test_a_glide_is_solved_for_with_motions_alone_and_refused_without(tmp_path):
     at = point(tmp_path, "motions", solve_glide=True, aberration=True)
-    assert link.check(at) is None
+    assert points.link.check(at) is None
     found = results(at)
     assert found["dof"] == 2 * N_OBJ - 6
     assert np.isfinite(found["glide_sigma"]).all()
     assert abs(found["chi2"][0] - (2 * N_OBJ - 6)) < 4.5 * np.sqrt(2.0 * (2 * N_OBJ - 6) / 2000.0)
-    problem = link.check(point(tmp_path, "positions", solve_glide=True))
+    problem = points.link.check(point(tmp_path, "positions", solve_glide=True))
     assert problem == "solve_glide: the proper motions have no errors on either side, so they are not measured"
 
 
 @pytest.mark.parametrize(("kind", "other"), [("motions", "positions"), ("positions", "proper motions")])
 def test_what_is_not_measured_is_said(kind, other, tmp_path):
-    said = [one for one in link.warn(point(tmp_path, kind, satellite_errors="none")) if "either side" in one]
+    said = [one for one in points.link.warn(point(tmp_path, kind, satellite_errors="none")) if "either side" in one]
     assert [one.partition(" have no errors")[0] for one in said] == [other]
-    assert not any("either side" in one for one in link.warn(link.defaults() | {"n_obj": 20}))
+    assert not any("either side" in one for one in points.link.warn(points.link.defaults() | {"n_obj": 20}))

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import erfa
 import numpy as np
 import pytest
 from astropy import units
@@ -86,24 +85,6 @@ def test_parallax_factors_are_those_of_vectors():
         east = (seen[0] - truth.values[0] + np.pi) % (2.0 * np.pi) - np.pi
         np.testing.assert_allclose(factors[0], east * np.cos(truth.values[1]) / MAS, atol=1e-6)
         np.testing.assert_allclose(factors[1], (seen[1] - truth.values[1]) / MAS, atol=1e-6)
-
-
-def test_the_frame_of_fk5_is_recovered_from_erfa():
-    rng = np.random.default_rng(8)
-    ra, dec = rng.uniform(0.0, 2.0 * np.pi, 40), np.arcsin(rng.uniform(-0.95, 0.95, 40))
-    zero = np.zeros(40)
-    fk5 = erfa.h2fk5(ra, dec, zero, zero, zero, zero)
-    errors = np.full((5, 40), 0.1 * MAS)
-    epoch = np.full(40, 2000.0)
-    hipparcos = Astrometry(np.array([ra, dec, zero, zero, zero]), errors, epoch)
-    in_fk5 = Astrometry(np.array([fk5[0], fk5[1], zero, fk5[2] * np.cos(fk5[1]), fk5[3]]), errors, epoch)
-    unknowns = parse_unknowns("orientation,spin")
-    found = solve(source_sums(Problem(hipparcos, in_fk5, np.arange(40), unknowns, 2000.0))).estimate
-    matrix, spin = erfa.fk5hip()
-    # FK5 - Hipparcos as a turn of vectors; ERFA's matrix turns FK5 into Hipparcos by a turn of the frame
-    vector = erfa.rm2v(matrix)
-    np.testing.assert_allclose(found[:3] / MAS, vector / MAS, atol=1e-4)
-    np.testing.assert_allclose(found[3:] / MAS, spin / MAS, atol=1e-5)
 
 
 @given(st.floats(0.05, 30.0), st.floats(0.0, 0.98), YEARS, YEARS, st.floats(0.0, 3.14))

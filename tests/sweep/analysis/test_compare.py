@@ -9,7 +9,6 @@ import pytest
 from scipy.stats import norm
 
 import linksweep
-from linksweep import Output, experiment
 from linksweep.sweep.analysis import compare as verdicts
 from tests.conftest import COINS
 from tests.sweep.analysis.made import DONE, EXCLUDED, FAILED, MISSING, N, grid
@@ -113,7 +112,7 @@ def test_a_count_must_be_equal_and_the_error_between_catalogues_adds_in_quadratu
         assert (comparison.verdict, comparison.allowance) == (verdict, pytest.approx(allowance))
 
 
-@experiment(outputs=[Output("y", statistics=["mean", "q99", "max"])])
+@linksweep.experiment(outputs=[linksweep.Output("y", statistics=["mean", "q99", "max"])])
 def drawing(rng, x: float):
     return {"y": rng.random() / x}
 

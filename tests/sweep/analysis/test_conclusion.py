@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 import linksweep
-from linksweep import SweepError
 from tests.sweep.analysis.made import DONE, FAILED, MISSING, grid, study_from_dict
 
 AT = {"model": "gaia", "v_max": 20.0}
@@ -80,7 +79,7 @@ def test_what_is_not_there_is_said_or_left_out():
     one = {"value": {"variable": "sigma_spin", "at": {"v_max": 20.0}}}
     assert concluding(made(), "{gaia:%}", grid=ZIPPED, gaia=one | {"where": {"model": "gaia"}}) == ["0.054 %"]
     slope = {"slope": {"variable": "sigma_spin", "over": "v_max"}, "where": {"model": "gaia"}}
-    with pytest.raises(SweepError, match="'v_max' cannot vary, because 'where' fixes model"):
+    with pytest.raises(linksweep.SweepError, match="'v_max' cannot vary, because 'where' fixes model"):
         concluding(made(), "{gaia}", grid=ZIPPED, gaia=slope)
 
 
@@ -90,7 +89,7 @@ def test_without_a_conclusion_the_range_answers():
     assert "(model=gaia, v_max=20) and 650" in sentence.replace("0.65", "650")
     assert said(made(np.full((2, 2), np.nan)))[0].endswith("at no point that is done.")
     assert (sentence.endswith("over 4 points."), "not known" in said(made(error=np.nan))[0]) == (True, True)
-    with pytest.raises(SweepError, match="the attribute 'conclusion' cannot be read"):
+    with pytest.raises(linksweep.SweepError, match="the attribute 'conclusion' cannot be read"):
         linksweep.answer(made().assign_attrs(conclusion="{"))
     # words about what the study fixes are not said of something else
     changes = ({"settings": ["catalogue=galaxies"]}, {"settings": ["model=gaia"]}, {"axes": ["error_scale=1,2"]})
@@ -100,5 +99,5 @@ def test_without_a_conclusion_the_range_answers():
 
 @pytest.mark.parametrize(("sentence", "value", "problem"), BAD)
 def test_bad_conclusions_are_refused_when_the_study_is_read(sentence, value, problem):
-    with pytest.raises(SweepError, match=rf"conclusion.*{re.escape(problem)}"):
+    with pytest.raises(linksweep.SweepError, match=rf"conclusion.*{re.escape(problem)}"):
         concluding(made(), sentence, gaia=value)

@@ -94,7 +94,6 @@ STUDIES = {
     "duplicate point through zip": (axis("[16.0, 17.0, 16.0]", "[20, 50, 20]") + ZIP, "axes.v_max"),
     "everything excluded": (after("[[exclude]]\nv_max = { above = 1 }"), "every point of the grid is excluded"),
     "unknown condition": (after("[[exclude]]\nv_max = { over = 1 }"), "exclude.0.v_max (line 15): unknown"),
-    "brackets without end": (fixed(f"omega = {'[' * 10_000}"), "not valid TOML: nested too deeply"),
     "many unknown keys": (fixed("\n".join(f"k{i} = {i}" for i in range(5_000))), "... and perhaps more problems"),
     "experiment without a colon": (f'experiment = "core"\n{GOOD}', "experiment (line 1): 'core': write"),
     "not an experiment": (f'experiment = "math:tau"\n{GOOD}', "has a float, not an Experiment or a function, at"),
@@ -118,9 +117,7 @@ WITH_FILES = {  # by the content of a file beside the study: what is said
     ],
     "mine.py": [
         (b"raise RuntimeError('no licence')", f"{MINE}cannot be imported: RuntimeError: no licence"),
-        (b"def f(:\n", f"{MINE}cannot be imported: SyntaxError: invalid syntax"),
         (b"import sys; sys.exit(0)", f"{MINE}cannot be imported: SystemExit: 0"),
-        (b"experiment = 1", f"{MINE}the module has a int, not an Experiment or a function, at 'experiment'"),
         (LOST, "check of a point raises KeyError: 'lost' (4 points)"),
     ],
 }
@@ -174,9 +171,7 @@ FILES |= {"mine.py": b"def f(x: float):\n    return x\n", "c.toml": b'class = "d
 FILES |= {"french.toml": GOOD.encode().replace(b"A good", b"\xc9tude"), "large.toml": GOOD.encode() + b"#" * 1_000_000}
 FILES["link.zarr/zarr.json"] = json.dumps(ROOT | {"attributes": {"result": "tie"}}).encode()
 SOBOL = "plan quasars --design sobol:8"
-ANOTHER = (
-    "STORE: , name it holds results of a different study, name it give another store with -o, name it experiment: "
-)
+ANOTHER = "STORE: , name it holds results of a different study, name it give another store with -o, name it experiment:"
 COMMANDS = [
     ("run french.toml", "french.toml: not UTF-8 text: byte 0xc9 in line 1"),
     ("run large.toml", "large.toml: is larger than 1,000,000 bytes"),
@@ -185,12 +180,10 @@ COMMANDS = [
     *((f"plan {'a' * 300}", "no study 'aaa"), ("plan /dev/zero", "/dev/zero: is larger than 1,000,000 bytes")),
     ("run /dev/null", "/dev/null: title: is required"),
     ("run study.toml --set n_sim", "--set 'n_sim': must be written KEY=VALUE"),
-    ("run study.toml --axis v_max", "--axis 'v_max': must be written NAME=SPEC"),
     ("run study.toml --set n_sim=-5", "sampling.n_sim (--set n_sim=-5): input should be greater than or equal to 1"),
     ("run study.toml --set weighting=equl", "weighting = 'equl': must be one of 'inverse-variance', 'equal'; did you"),
     ("run study.toml --axis v_max=14:16:", "axes.v_max (--axis v_max=14:16:): step = '': must be a finite number"),
     ("run study.toml --workers 0", "Invalid value for '--workers': 0 is not in the range 1<=x<=4096"),
-    ("run study.toml --pool gpu", "Invalid value for '--pool': 'gpu' is not one of 'processes', 'threads', 'serial'"),
     ("run study.toml --pool serial --workers 2", "pool serial has no workers"),
     ("run study.toml --retry --fresh", "--retry and --fresh contradict each other"),
     ("run study.toml --retry --set seed=8", "--retry computes points of a store as it is"),
@@ -206,12 +199,9 @@ COMMANDS = [
     ("find STORE --where share<1_mas", "share is in no unit, not convertible to mas"),
     *(("tie psrpi nowhere.fits", "nowhere.fits: no such file"), ("tie psrpi icrf3", "within 1 arcsec")),
     ("tie psrpi psrpi --unknowns spinn", "'spinn' are not known"),
-    *(
-        ("tie psrpi psrpi --column ra", "must be [TABLE:]KEY=COLUMN"),
-        ("tie psrpi psrpi -o out.nc", "must end with .png"),
-    ),
+    ("tie psrpi psrpi --column ra", "must be [TABLE:]KEY=COLUMN"),
+    ("tie psrpi psrpi -o out.nc", "must end with .png"),
     ("tie icrf3 icrf2 --unknowns spin", "nothing in the tables determines omega_x"),
-    ("tie psrpi psrpi --mission hip", "NAME=TABLE"),
     ("tie psrpi psrpi --mission spin=psrpi", "none of the unknowns"),
     ("tie psrpi psrpi --mission a=psrpi --mission a=psrpi", "named twice"),
     ("tie psrpi psrpi --mission a=psrpi --mission-epoch b=1991.25", "no table 'b'"),
@@ -221,9 +211,8 @@ COMMANDS = [
     ("reproduce STORE --at metal=tin,coins=6", "--at coins = 6: not on the axis, which has 1, 5, 20"),
     ("reproduce STORE --at metall=tin,coins=6", "--at metall: is not an axis; did you mean 'metal'?"),
     ("reproduce STORE --at tin", "'tin': a place is AXIS=VALUE"),
-    ("scaling sqrt-n --workers 2,4", "must increase from 1"),
-    *(("scaling sqrt-n --workers 1,2,2", "must increase from 1"), ("scaling sqrt-n --workers 1,5000", "4096")),
-    *(("scaling sqrt-n --workers 1,two", "no list of numbers"), ("scaling sqrt-n --workers -1", "no list of numbers")),
+    *(("scaling sqrt-n --workers 2,4", "must increase from 1"), ("scaling sqrt-n --workers 1,5000", "4096")),
+    ("scaling sqrt-n --workers 1,two", "no list of numbers"),
     *(("scaling sqrt-n --set n_sim=none", "n_sim"), ("scaling sqrt-n --set precision=0.1", "decides itself")),
     *(("scaling sqrt-n --repetitions 0", "repetitions"), ("scaling sqrt-n --figure s.txt", "the name must end")),
     # no option is dropped for another
@@ -233,7 +222,6 @@ COMMANDS = [
     ("plan quasars --set n_sim=1 --set sampling.n_sim=2", "--set n_sim=1 and --set sampling.n_sim=2: n_sim is given"),
     ("plan quasars --design random:8 --range v_max=1:5 --range v_max=1:6", "--range v_max=1:5 and --range v_max=1:6"),
     (f"{SOBOL}:3 --range v_max=14:15 --set points.seed=4", "--set points.seed=4 and --design sobol:8:3:"),
-    (f"{SOBOL} --range v_max=14:15 --set points.n=16", "--set points.n=16 and --design sobol:8: n is"),
     ("plan quasars --points t.csv --range v_max=14:15 --set points.seed=4", "t.csv): ranges, seed: does not"),
     (f"{SOBOL} --range v_mxa=14:15", "points.ranges.v_mxa (--range v_mxa=14:15): unknown"),
     (f"{SOBOL} --range error_scale=2:1e305", "(--range error_scale=2:1e305): high = 1e+305: must"),
@@ -241,9 +229,7 @@ COMMANDS = [
     (f"{SOBOL}:3:1 --range v_max=14:15", "--design 'sobol:8:3:1': must be written NAME:N or NAME:N:SEED"),
     ('plan quasars --axis model=amex,"gaia,x"', "commas divide values"),
     (f"{SOBOL} --range model='c,d',a", "commas divide values"),
-    ("run study.toml --cluster c.toml --scheduler tcp://a:1", "these are of different places"),
     ("run study.toml --cluster c.toml --memory-limit 2GB", "memory, cluster: these are of different places"),
-    ("run study.toml --cluster c.toml --time-limit 0", "'--time-limit'"),
     ("run study.toml --cluster c.toml --tls-ca c.toml", "--tls-ca, --tls-cert and --tls-key"),
     *(("run study.toml --log study.toml", "is no file of --log"), ("run grid --events decay.py", "file of --events")),
     *((f"run grid --events decay.zarr/{name}", "lies inside the store") for name in ("zarr.json", "e.jsonl")),
@@ -267,7 +253,6 @@ COMMANDS = [
     *(("run quasars.toml", "'quasars'"), ("run decay", "'decay.py'"), ("show decay", "'decay.zarr'")),
     *(("run decay.zarr", "sweep run --retry"), ("plot decay.zarr --kind heatmap", "'map'")),
     ("run decay.py:decay --axis years 1,2", "--axis NAME=1,2,3"),
-    ("run decay.py:decay years=1,2", "--axis NAME=1,2,3"),
     ("run decay.py:decay --axis years=1,2 --set half_life=2 --seed 4", "--set NAME=VALUE"),
     ("run decay.py:decay --axis years=1,2", "--set half_life=VALUE"),
     ("run decay.py:decay --axis years=1-2 --set half_life=2", "START:STOP:STEP"),

@@ -19,10 +19,8 @@ import trustme
 from distributed import Client, LocalCluster
 
 import linksweep
-from linksweep import SweepError
 from linksweep.sweep.executing import clusters, pools
 from linksweep.sweep.executing.clusters import client_at, own_cluster
-from linksweep.sweep.executing.pools import Resources
 from tests.sweep.opening import same
 from tests.sweep.outside import Outside, command_of, wait_until, workers_below
 from tests.tiers import slow
@@ -41,9 +39,8 @@ SAID = {("pool", "dashboard"): "a dashboard is for local", ("workers", "pool"): 
 SAID[("client",)] = "client = 'tcp://a:1': must be a distributed.Client that is connected"
 WRONG_FILES = [("", "class = "), ("class = 1\nscale = 1\n", "class = 1: "), (LOCAL + "scale = 0\n", "scale = 0: ")]
 WRONG_FILES += [('class = "LocalCluster"\nscale = 1\n', "class = 'LocalCluster': ")]
-WRONG_FILES += [
-    ('class = "distributed.NoCluster"\n', text) for text in ("has no attribute 'NoCluster'", "either scale =")
-]
+NO_CLUSTER = 'class = "distributed.NoCluster"\n'
+WRONG_FILES += [(NO_CLUSTER, "has no attribute 'NoCluster'"), (NO_CLUSTER, "either scale =")]
 WRONG_FILES += [('class = "distributed.Client"\nscale = 1\n', "is no class of a Dask cluster")]
 WRONG_FILES += [(LOCAL, "write either scale = WORKERS or adapt"), (LOCAL + "scale = 1\noptions = 3\n", "options = 3: ")]
 WRONG_FILES += [slow(LOCAL + "scale = { dwarfs = 7 }\n", "unexpected keyword argument 'dwarfs'")]
@@ -98,8 +95,8 @@ def test_what_a_cluster_imports_does_not_answer_ctrl_c(tmp_path):
 
 def test_a_dashboard_needs_bokeh(monkeypatch):
     monkeypatch.setattr(pools, "find_spec", lambda name: None)
-    with pytest.raises(SweepError, match=r"`pip install 'linksweep\[report\]'`"):
-        Resources(dashboard=True)
+    with pytest.raises(linksweep.SweepError, match=r"`pip install 'linksweep\[report\]'`"):
+        pools.Resources(dashboard=True)
 
 
 @pytest.mark.parametrize("speaks", [False, True])
@@ -115,7 +112,7 @@ def test_a_port_that_says_nothing_or_is_of_a_server_of_another_kind(monkeypatch,
         address = "tcp://{}:{}".format(*server.getsockname())
         if speaks:
             threading.Thread(target=speak, args=(server,), daemon=True).start()
-        with pytest.raises(SweepError, match=f"no Dask scheduler answers at '{address}'"), client_at(address):
+        with pytest.raises(linksweep.SweepError, match=f"no Dask scheduler answers at '{address}'"), client_at(address):
             pass
 
 
@@ -147,7 +144,7 @@ def test_a_client_computes_the_same_bits_and_goes_on_to_work(client, tmp_path):
         time.sleep(0.02)
         raise ValueError(x)
 
-    with pytest.raises(SweepError, match="stopped"):  # a run that is interrupted leaves no tasks with it
+    with pytest.raises(linksweep.SweepError, match="stopped"):  # a run that is interrupted leaves no tasks with it
         linksweep.run(fails, tmp_path / "s.zarr", axes=AXES, client=client, max_failures=1)
     wait_until(lambda: not any(client.processing().values()), "the end of its tasks")
     assert (client.status, before.result(), client.submit(np.sqrt, 9.0).result()) == ("running", 2.0, 3.0)
@@ -162,7 +159,7 @@ def test_a_client_of_a_scheduler_elsewhere_is_as_its_address(link_study, tmp_pat
             assert client.status == "running"
             outside.kill(outside.scheduler)
             wait_until(lambda: client.status != "running", "the client to notice")
-            with pytest.raises(SweepError, match="that is connected"):
+            with pytest.raises(linksweep.SweepError, match="that is connected"):
                 linksweep.run(link_study, tmp_path / "t.zarr", client=client)
     same(tmp_path / "s.zarr", reference)
 
@@ -170,14 +167,14 @@ def test_a_client_of_a_scheduler_elsewhere_is_as_its_address(link_study, tmp_pat
 def test_an_asynchronous_or_closed_client_is_refused(client):
     async def use():
         async with Client(client.scheduler.address, asynchronous=True, set_as_default=False) as other:
-            with pytest.raises(SweepError, match="without asynchronous=True"):
-                Resources(client=other)
+            with pytest.raises(linksweep.SweepError, match="without asynchronous=True"):
+                pools.Resources(client=other)
 
     asyncio.run(use())
     with Client(client.scheduler.address, set_as_default=False) as other:
         pass
-    with pytest.raises(SweepError, match="which is closed: must be"):
-        Resources(client=other)
+    with pytest.raises(linksweep.SweepError, match="which is closed: must be"):
+        pools.Resources(client=other)
 
 
 class Files:
@@ -215,6 +212,6 @@ def test_a_study_runs_over_tls_and_wrong_certificates_are_refused_in_a_sentence(
 
 @pytest.mark.parametrize("pair", [*PAIRS, ("client",)], ids=" ".join)
 def test_two_places_to_run_on_are_refused(pair, here):
-    with pytest.raises(SweepError, match=SAID.get(pair, "these are of different places to run on; name one")):
+    with pytest.raises(linksweep.SweepError, match=SAID.get(pair, "these are of different places to run on; name one")):
         linksweep.run(lambda x: x, "s.zarr", axes={"x": [1.0]}, **{name: PLACES[name] for name in pair})
     assert not list(here.iterdir())

@@ -10,10 +10,8 @@ from distributed import KilledWorker, LocalCluster
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing import clusters, executor, worker
 from linksweep.sweep.executing.clusters import DaskDriver, own_cluster, run_on_worker
-from linksweep.sweep.executing.executor import mapped
 from linksweep.sweep.executing.pools import ANY_RESOURCES, POOLS, Limits, Resources
-from tests.sweep import opening
-from tests.sweep.opening import SERIAL, Sentences, existing_store, run_study, same, study_from_dict
+from tests.sweep.opening import SERIAL, Sentences, existing_store, rows_on_disk, run_study, same, study_from_dict
 from tests.sweep.outside import wait_until
 from tests.tiers import slow
 
@@ -31,11 +29,11 @@ def test_what_is_finished_is_kept_though_a_later_block_never_ends(tmp_path, star
     resources = ("--pool", pool) if not POOLS[pool].has_workers else ("--pool", pool, "--workers", 1)
     run = ("run", tmp_path / "f.py:f", "--axis", "seconds=0.2,0.3,0.4,3600", "-o", store)
     process = start_sweep(*run, *resources, start_new_session=True)
-    wait_until(lambda: process.poll() is not None or opening.rows_on_disk(store) == 3, "three blocks", 240)
+    wait_until(lambda: process.poll() is not None or rows_on_disk(store) == 3, "three blocks", 240)
     assert process.poll() is None, process.communicate()[1]
     os.killpg(process.pid, signal.SIGKILL)
     process.communicate()
-    assert opening.rows_on_disk(store) == 3
+    assert rows_on_disk(store) == 3
 
 
 @pytest.fixture
@@ -133,7 +131,7 @@ def slept(seconds):
 @pytest.mark.parametrize("resources", [Resources(), Resources(pool="threads", workers=3)], ids=["here", "threads"])
 def test_results_come_in_the_order_of_the_pieces(resources):
     seconds = [0.1, 0.0, 0.05, 0.0, 0.0]
-    with mapped(EXPERIMENT, resources, print) as run:
+    with executor.mapped(EXPERIMENT, resources, print) as run:
         assert list(run(slept, [(one,) for one in seconds])) == seconds
         assert list(run(pow, [])) == []
         with pytest.raises(ZeroDivisionError):
@@ -150,9 +148,9 @@ def died_once(path, number):
 
 @pytest.mark.slow
 def test_the_piece_of_a_worker_that_dies_is_computed_by_another_and_limits_hold_for_pieces(tmp_path):
-    with mapped(EXPERIMENT, Resources(workers=2), print) as run:
+    with executor.mapped(EXPERIMENT, Resources(workers=2), print) as run:
         assert list(run(died_once, [(tmp_path / "died", n) for n in range(8)])) == list(range(8))
     for how in ({"workers": 1}, {"pool": "threads"}, {"pool": "serial"}):
         resources, words = Resources(**how, limits=Limits(time_s=0.5)), r"longer than the time limit of 0\.5 s"
-        with pytest.raises(SweepError, match=words), mapped(EXPERIMENT, resources, print) as run:
+        with pytest.raises(SweepError, match=words), executor.mapped(EXPERIMENT, resources, print) as run:
             list(run(slept, [(60.0,)]))

@@ -13,7 +13,6 @@ from linksweep.sweep.contract import KEY_BYTES, Block, BlockRows, Output, Status
 from linksweep.sweep.planning import plan as planning
 from linksweep.sweep.planning.accumulator import TASK_S, TUNED, Accumulator, Pending
 from linksweep.sweep.planning.grid import make_grid
-from linksweep.sweep.planning.plan import Plan
 from linksweep.sweep.studies.reader import load_study, study_from_dict
 from tests.conftest import COINS
 from tests.tiers import examples, few, slow
@@ -56,7 +55,7 @@ USELESS = [
 def plan_of(document, experiment=None, **sampling):
     whole = {"title": "", "experiment": COINS} | document
     study = study_from_dict(whole | {"sampling": whole.get("sampling", {}) | sampling})
-    return Plan(make_grid(replace(study, experiment=experiment or study.experiment)))
+    return planning.Plan(make_grid(replace(study, experiment=experiment or study.experiment)))
 
 
 def exact(*headlines):
@@ -182,17 +181,6 @@ def test_tasks_are_of_about_a_second_and_enough_for_all(seconds, workers):
     assert all(len(task) == 1 for task in tasks[: 4 * workers])  # nothing was measured before
 
 
-def test_what_a_worker_did_not_come_to_is_pending_again():
-    pending = pending_points(200)
-    [first] = pending.take(1)
-    pending.settle(first, np.array([1e-6]))
-    [task] = pending.take(1)
-    assert len(task) > 10
-    assert pending.settle(task, np.full(7, 1.0)) == task[:7]
-    works = sum(tasks_of(pending, lambda point: 1.0), [*first, *task[:7]])
-    assert sorted(work.points[0].index for work in works) == list(range(200))
-
-
 @pytest.mark.parametrize(("most", "parts"), [(64, 1), (65, 2), (129, 3), (512, 4), (513, 5), (1025, 6)])
 def test_the_parts_of_a_precision_double_until_blocks_are_whole(most, parts):
     plan = precise(n_sim=most, precision=0.1)
@@ -313,7 +301,7 @@ def test_streams_are_numpys_own_children_of_the_seed(seed, name, first, part):
 def test_the_cost_of_what_is_pending_is_that_of_the_work_given_out(common, groups):
     """By which the time left is estimated: points that share a draw cost less than each alone."""
     study = load_study("quasars", ["n_cat=5", "n_sim=777", f"common_random_numbers={str(common).lower()}"])
-    plan = Plan(make_grid(study))
+    plan = planning.Plan(make_grid(study))
     blocks = [(point, block) for point in plan.grid.points() for block in plan.blocks(plan.cost(point.parameters))]
     keys = [ledger_key(point.digest, block) for point, block in blocks if block.group < groups]
     accumulator = Accumulator(plan, BlockRows(keys), np.ones(len(keys), study.experiment.reducer.dtype))

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 import linksweep
-from linksweep import SweepError
 from tests.tiers import slow
 
 LIMIT, NUMBER = r"$V_\mathrm{max}$ [mag]", r"$N_\mathrm{obj}$"
@@ -81,7 +80,7 @@ def test_a_law_is_drawn_as_fitted_with_its_guide(dataset_of):
     units = upper.containers[0].lines[0].get_ydata() / y
     np.testing.assert_allclose(lower.containers[0].lines[0].get_ydata(), 100.0 * (units * y / law - 1.0), atol=1e-6)
     assert lower.get_ylabel() == "residual [%]"
-    with pytest.raises(SweepError, match="too many for one picture"):
+    with pytest.raises(linksweep.SweepError, match="too many for one picture"):
         linksweep.plot(dataset_of("grid"), "law", over=["n_obj"])
 
 
@@ -113,7 +112,7 @@ def test_a_scatter_has_all_estimates_ellipses_and_truth(dataset_of):
     assert axes.get_aspect() == 1.0
     [axes] = linksweep.plot(dataset, over=["epsilon_x", "omega_z"]).axes
     assert (axes.get_xlabel(), axes.get_ylabel()) == (r"$\epsilon_{x}$ [mas]", r"$\omega_{z}$ [mas/yr]")
-    with pytest.raises(SweepError, match="'omega' is no component of estimate"):
+    with pytest.raises(linksweep.SweepError, match="'omega' is no component of estimate"):
         linksweep.plot(dataset, over=["omega", "omega_x"])
 
 

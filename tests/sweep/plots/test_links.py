@@ -9,7 +9,6 @@ from matplotlib.quiver import Quiver
 from scipy import stats
 
 import linksweep
-from linksweep import SweepError
 from linksweep.sweep.plots import link as sky
 
 
@@ -22,9 +21,9 @@ def test_a_link_has_the_figures_that_its_content_allows(link):
     for kind in ("solution", "residuals", "weight", "ranking"):
         assert "reference" in linksweep.plot(link, kind).get_suptitle()
     for kind, how in (("spectrum", "--degree"), ("bins", "--bins"), ("lines", "no kind 'lines' of a tie")):
-        with pytest.raises(SweepError, match=how):
+        with pytest.raises(linksweep.SweepError, match=how):
             linksweep.plot(link, kind)
-    with pytest.raises(SweepError, match="no variables"):
+    with pytest.raises(linksweep.SweepError, match="no variables"):
         linksweep.plot(link, variables=["estimate"])
 
 
@@ -87,7 +86,7 @@ def test_a_forecast_has_its_epochs_and_ranking():
     bars = [bar.get_width() for bar in linksweep.plot(plan, "ranking").axes[0].patches]
     now = float(plan.criterion.sel(stage="now"))
     np.testing.assert_allclose(bars[-1], 100.0 * (1.0 - plan.criterion_alone.values.min() / now))
-    with pytest.raises(SweepError, match="--add"):
+    with pytest.raises(linksweep.SweepError, match="--add"):
         linksweep.plot(linksweep.forecast("psrpi", "psrpi", "orientation"))
 
 

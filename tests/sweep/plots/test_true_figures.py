@@ -12,7 +12,6 @@ from matplotlib.container import ErrorbarContainer
 from matplotlib.text import Text
 
 import linksweep
-from linksweep import Output, SweepError, experiment
 from linksweep.sweep.analysis import quantity
 from linksweep.sweep.plots import style
 from tests.tiers import examples, slow
@@ -89,7 +88,7 @@ def test_series_of_close_values_and_of_times_have_colours_and_names_of_their_own
 def test_times_along_a_dimension_are_days_in_words_figures_and_options(tmp_path):
     days = np.array(["2020-01-01", "2020-01-02", "2020-01-03"], dtype="datetime64[D]")
 
-    @experiment(outputs=[Output("u", "K", dims="time", coords={"time": (days, "")})])
+    @linksweep.experiment(outputs=[linksweep.Output("u", "K", dims="time", coords={"time": (days, "")})])
     def watch(k: float):
         return {"u": k * np.arange(1.0, 4.0)}
 
@@ -103,10 +102,10 @@ def test_times_along_a_dimension_are_days_in_words_figures_and_options(tmp_path)
 
 def test_a_logarithm_needs_numbers_above_zero(tmp_path):
     dataset = results([0.0, 1.0, 10.0])
-    with pytest.raises(SweepError, match="x = 0: a logarithmic axis has only numbers above zero"):
+    with pytest.raises(linksweep.SweepError, match="x = 0: a logarithmic axis has only numbers above zero"):
         linksweep.plot(dataset, log=["x"])
     wrong = {"title": "a", "axes": {"sky_contrast": [0.0, 0.5]}, "figure": {"log": ["sky_contrast", "n_obi"]}}
-    with pytest.raises(SweepError) as raised:
+    with pytest.raises(linksweep.SweepError) as raised:
         linksweep.run(wrong, tmp_path / "a.zarr")
     zero = "figure.log.0: sky_contrast = 0.0: a logarithmic axis has only numbers above zero"
     misspelt = "figure.log.1: 'n_obi' is neither a parameter nor an output; did you mean 'n_obj'?"
@@ -202,7 +201,7 @@ def test_a_series_over_days_is_a_line_over_days(tmp_path):
         assert np.array_equal(line.get_ydata(), values)
     one = linksweep.plot(ds.isel(day=slice(0, 2)), over=["rate"])
     assert {"2024-01-01", "2024-01-02"} <= set(one.axes[0].get_legend_handles_labels()[1])
-    with pytest.raises(SweepError, match="'day' is no axis with several numbers"):
+    with pytest.raises(linksweep.SweepError, match="'day' is no axis with several numbers"):
         linksweep.find(ds, "height > 0", over="day")
 
 

@@ -10,7 +10,6 @@ import pytest
 import xarray as xr
 
 import linksweep
-from linksweep import SweepError
 from linksweep.sweep.analysis.answer import answers, completeness
 from linksweep.sweep.contract import Status
 from linksweep.sweep.report.page import explorer, report_of, report_page, residuals, section
@@ -168,7 +167,7 @@ def test_an_answer_is_question_and_sentences_as_text_and_in_a_notebook(results):
     assert (heading in page, picture in page, bool(re.search(r'alt="[^"]*v_max=14', page))) == (True, True, True)
     status = results["status"].where(results["v_max"] > 14.0, 0)
     assert linksweep.answer(results.assign(status=status)).sentences[0].startswith("Incomplete: ")
-    with pytest.raises(SweepError, match="no result of a study"):
+    with pytest.raises(linksweep.SweepError, match="no result of a study"):
         linksweep.answer(xr.Dataset({"x": 1.0}))
 
 

@@ -16,7 +16,6 @@ from astropy.table import Column, Table
 from hypothesis import given, settings, strategies as st
 
 import linksweep
-from linksweep import SweepError
 from tests.sweep.opening import OpenStore, merge
 from tests.tiers import examples, few, slow
 
@@ -126,7 +125,7 @@ def test_an_object_of_ones_own_needs_a_label_and_constants_and_tables_have_objec
 
 @pytest.mark.parametrize(("axes", "said"), UNTOLD)
 def test_objects_and_numbers_that_cannot_be_told_apart_are_refused(axes, said, tmp_path):
-    with pytest.raises(SweepError, match=said):
+    with pytest.raises(linksweep.SweepError, match=said):
         run(tmp_path / "s.zarr", axes=axes)
     assert not (tmp_path / "s.zarr").exists()
 
@@ -161,7 +160,7 @@ def test_another_object_under_a_label_of_the_store_is_refused(tmp_path):
         linksweep.run(lambda net: net.width, tmp_path / "s.zarr", axes=axes, pool="serial", **more)
 
     run(8)
-    with pytest.raises(SweepError, match="net: 'small' is another value than in the store"):
+    with pytest.raises(linksweep.SweepError, match="net: 'small' is another value than in the store"):
         run(9)
     run(9, only=True)
     assert linksweep.open(tmp_path / "s.zarr").result.values.tolist() == [9, 80]
@@ -176,7 +175,7 @@ def test_where_a_declared_parameter_has_no_effect_there_is_one_point_without_it(
         ds = linksweep.run(fit, tmp_path / "s.zarr", axes={"kernel": kernels, "gamma": gammas}, pool="serial")
         assert (ds.attrs["points"], ds.attrs["complete"], ds.fit.units) == (3, 1, "mm")
     zipped = {"experiment": fit, "axes": {"gamma": gammas, "c": gammas}, "grid": {"zip": [["gamma", "c"]]}}
-    with pytest.raises(SweepError, match="gamma shares a dimension"):
+    with pytest.raises(linksweep.SweepError, match="gamma shares a dimension"):
         linksweep.run(zipped | {"axes": zipped["axes"] | {"kernel": kernels}}, tmp_path / "z.zarr")
     for kernel in kernels:  # together they are a table
         ds = linksweep.run(zipped | {"fixed": {"kernel": kernel}}, tmp_path / "z.zarr", pool="serial", keep=True)
@@ -224,7 +223,7 @@ def test_a_condition_that_means_nothing_is_refused(tmp_path, when):
     def fit(kernel: str = "rbf", gamma: float = 1.0):
         return gamma
 
-    with pytest.raises(SweepError, match="when"):
+    with pytest.raises(linksweep.SweepError, match="when"):
         linksweep.run(linksweep.experiment(when=when)(fit), tmp_path / "s", axes={"kernel": ["rbf"], "gamma": [1.0]})
     assert not (tmp_path / "s").exists()
 
@@ -287,7 +286,7 @@ def test_conditions_of_any_depth_hold_at_each_point_wherever_its_values_come_fro
                 asked.add(result)
         try:
             ds = linksweep.run(study | {"experiment": chained, "when": when}, store, pool="serial", keep=True)
-        except SweepError as error:
+        except linksweep.SweepError as error:
             if not asked or ("shares a dimension" in str(error) and study.keys() & {"grid", "points"}):
                 return
             raise
@@ -299,7 +298,7 @@ def test_conditions_of_any_depth_hold_at_each_point_wherever_its_values_come_fro
         assert {*whole.chained.values[whole.status.values == 1]} == {*expected.values()}
         assert len(OpenStore(place).ledger().rows) == len(expected), "equal points are one"
     if {"b"} <= when.keys() & runs[1][0]["axes"].keys():  # the same points mean something else
-        with pytest.raises(SweepError, match="when: "):
+        with pytest.raises(linksweep.SweepError, match="when: "):
             linksweep.run(runs[1][0] | {"experiment": chained, "when": {**when, "b": {"a": ["w"]}}}, store)
 
 
@@ -337,7 +336,7 @@ def test_only_the_script_tries_failed_points_of_its_objects_again(here, sweep):
     assert run(dates[:1], retry=True).g.values.tolist() == [[10.0, 20.0]]
     assert linksweep.open("s.zarr").g.fillna(0.0).values.tolist() == [[10.0, 20.0], [8.0, 0.0]]
     for store, more, words in (("s.zarr", {"fresh": True}, "retry = True: does not go with"), ("t", {}, "no store is")):
-        with pytest.raises(SweepError, match=words):
+        with pytest.raises(linksweep.SweepError, match=words):
             run(dates, store, retry=True, **more)
 
 

@@ -11,7 +11,6 @@ from astropy.table import Table
 from hypothesis import given, settings, strategies as st
 
 import linksweep
-from linksweep import SweepError
 from tests.sweep.opening import POINT, POINT_TABLE, OpenStore, merge, same
 from tests.tiers import examples, few, slow
 
@@ -61,9 +60,9 @@ def test_a_table_grows_at_its_end_and_is_refused_where_old_rows_change(tmp_path)
     more = run(model, store, points={"x": [1.0, 2.0, 3.0]})
     assert calls[-3:] == [(1.0, 1), (2.0, 1), (3.0, 1)]  # the first one twice, if no test before this one was
     before = OpenStore(store).attributes["generation"]
-    with pytest.raises(SweepError, match=r"row 2, x: 2.0 in the store, 2.5 in the study"):
+    with pytest.raises(linksweep.SweepError, match=r"row 2, x: 2.0 in the store, 2.5 in the study"):
         run(model, store, points={"x": [1.0, 2.5, 3.0, 4.0]})
-    with pytest.raises(SweepError, match=r"row 1, k: 1 in the store, 4 in the study"):
+    with pytest.raises(linksweep.SweepError, match=r"row 1, k: 1 in the store, 4 in the study"):
         run(model, store, points={"x": [1.0, 2.0, 3.0, 4.0], "k": [4, 1, 1, 1]})
     assert OpenStore(store).attributes["generation"] == before
     assert run(model, store, points={"x": [1.0]}).y.values.tolist() == more.y.values[:1].tolist()
@@ -168,7 +167,7 @@ def test_a_name_of_digits_in_a_file_stays_what_is_written(tmp_path):
     (tmp_path / "t.csv").write_text("name\nNA\nTrue\n2\n")
     ds = run(of_choice, tmp_path / "2.zarr", str(tmp_path / "t.csv"))
     assert [*ds.name_back.values] == ["'NA'", "True", "2"]
-    with pytest.raises(SweepError, match="has no value in row 1"):
+    with pytest.raises(linksweep.SweepError, match="has no value in row 1"):
         run(of_text, tmp_path / "0.zarr", str(tmp_path / "t.csv"))
 
 
@@ -185,9 +184,9 @@ def test_what_is_no_label_is_refused_by_name(tmp_path):
         (None, "star", "points = None"),
         (frame.rename(columns={"star": "y_std"}), "y_std", "y_std is a label and the name of a result"),
     ):
-        with pytest.raises(SweepError, match=words):
+        with pytest.raises(linksweep.SweepError, match=words):
             run(noisy, tmp_path / "s.zarr", rows, labels)
-        with pytest.raises(SweepError, match=r"figure.log.0: 'z' is neither"):
+        with pytest.raises(linksweep.SweepError, match=r"figure.log.0: 'z' is neither"):
             run({"experiment": noisy, "figure": {"log": ["z"]}, "axes": {"x": [1.0]}}, tmp_path / "s.zarr")
         assert not (tmp_path / "s.zarr").exists()
 

@@ -64,10 +64,7 @@ def test_a_failed_point_is_left_alone_shown_and_on_request_computed_again(tmp_pa
     for again, words in ((failed, "ZeroDivisionError: no tin coins left"), (("run", "--retry", store), "40,000")):
         assert words in sweep(*again, cwd="/", code=1)[2]
     (tmp_path / "broken").unlink()
-    for again, expected, words in (
-        ((*command, store), 1, "already, 2 failed"),
-        (failed, 0, "is failed in"),
-    ):
+    for again, expected, words in (((*command, store), 1, "already, 2 failed"), (failed, 0, "is failed in")):
         assert words in sweep(*again, code=expected)[2]
     code, out, err = sweep("run", "--retry", store, cwd="/")
     assert (code, "40,000 realisations to do" in err, "INCOMPLETE" in out) == (0, True, False), err

@@ -14,7 +14,6 @@ from hypothesis import given, strategies as st
 from rich.console import Console
 
 import linksweep
-from linksweep import SweepError
 from linksweep.sweep.executing.task import Failure
 from linksweep.sweep.running import progress
 from linksweep.sweep.running.progress import FIRST, FailureCount, MaxFailures
@@ -92,7 +91,7 @@ def test_a_smaller_study_is_answered_while_another_process_holds_the_lock(tmp_pa
     part = linksweep.run(coins | {"axes": coins["axes"] | {"metal": ["tin"]}}, store, pool="serial")
     assert part["share"].values.tolist() == whole["share"].sel(metal=["tin"]).values.tolist()
     for asked, more in (({}, {"fresh": True}), ({"axes": coins["axes"] | {"coins": [1, 5, 20, 30]}}, {})):
-        with pytest.raises(SweepError, match="--break-lock"):
+        with pytest.raises(linksweep.SweepError, match="--break-lock"):
             linksweep.run(coins | asked, store, pool="serial", **more)
 
 
@@ -267,7 +266,7 @@ def test_a_limit_that_is_none_is_refused(folder, sweep, wrong):
     words = f"{wrong!r}: must be a number of points, like 10, or a percentage, like '5%'"
     assert (code, words in err) == (2, True), err
     assert not (folder / "results").exists()
-    with pytest.raises(SweepError, match="max_failures = True: must be"):
+    with pytest.raises(linksweep.SweepError, match="max_failures = True: must be"):
         linksweep.run("f.py:never", axes={"x": [0]}, max_failures=True)
 
 

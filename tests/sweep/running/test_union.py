@@ -10,7 +10,6 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, settings, strategies as st
 
 import linksweep
-from linksweep import SweepError
 from tests.sweep.opening import OpenStore, Stopping, check, dying, merge, same, status_report, until_done
 from tests.tiers import examples, few, slow
 
@@ -105,7 +104,7 @@ class Sweeps:
         chosen = {(x, y, name) for x, y, name in there if x > 1 and y != 3} | (old - there)
         again = {"": set(), "old": old, "x > 1 and y != 3": chosen}[redo]
         if self.is_refused(constants, asked["axes"], keep, again):
-            with pytest.raises(SweepError):
+            with pytest.raises(linksweep.SweepError):
                 call()
             for left in self.store.parent.glob("other.zarr*"):
                 shutil.rmtree(left)
@@ -148,7 +147,7 @@ class Sweeps:
     def now(self):
         try:
             return found_in(linksweep.open(self.store), self.fixed)
-        except SweepError:
+        except linksweep.SweepError:
             assert self.axes is None, "who has results keeps some"
             return {}
 
@@ -216,7 +215,7 @@ def test_a_condition_that_is_none_is_refused_and_never_run(here):
     linksweep.run(lambda x: 2.0 * x, **study)
     for condition, words in (("y > 2", "no column 'y'"), ("__import__('os').mkdir('there') or x > 1", "not allowed")):
         for store in ("s.zarr", "new.zarr"):
-            with pytest.raises(SweepError, match=words):
+            with pytest.raises(linksweep.SweepError, match=words):
                 linksweep.run(lambda x: 2.0 * x, **study | {"store": here / store}, redo=condition)
     assert [path.name for path in here.iterdir()] == ["s.zarr"]
 
@@ -313,5 +312,5 @@ def test_stores_of_which_one_has_a_parameter_more_are_merged_whole(here, sweep, 
 
 def test_a_table_with_a_column_that_is_no_parameter_any_more_is_refused(tmp_path):
     linksweep.run(lambda x, s: x, tmp_path / "s", points={"x": [1.0], "s": ["b"]}, pool="serial")
-    with pytest.raises(SweepError, match="s of the store is no parameter any more"):
+    with pytest.raises(linksweep.SweepError, match="s of the store is no parameter any more"):
         linksweep.run(lambda x: x, tmp_path / "s", points={"x": [1.0]}, pool="serial", accept_code=True)

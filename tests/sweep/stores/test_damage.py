@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import linksweep
-from linksweep import SweepError
 from tests.sweep import opening
 from tests.sweep.opening import check, files_of, in_use, located, parts_of, repair, run, same
 from tests.tiers import slow
@@ -58,11 +57,11 @@ def test_killed_before_any_operation_it_goes_on(what, where, step, request, tmp_
 
     def between():
         before = files_of(store)
-        with opening.locked(store), pytest.raises(SweepError, match="is being written by process"):
+        with opening.locked(store), pytest.raises(linksweep.SweepError, match="is being written by process"):
             run(document, store)
         assert files_of(store) == before  # without the lock nothing is written
         if located(store).get("zarr.json") is None:
-            with pytest.raises(SweepError, match="no store there"):
+            with pytest.raises(linksweep.SweepError, match="no store there"):
                 check(store)
         else:
             report = check(store)
@@ -167,7 +166,7 @@ def test_whatever_happens_to_its_files_is_named_and_mended(history, step, trials
         differing = {key for key in files if not means_the_same(key, changed.get(key), files[key])}
         copies = {key for key in differing if key == "blocks/zarr.json" or key.startswith("blocks/study")}
         if "zarr.json" in differing and copies:  # nothing may say what the numbers mean
-            with suppress(SweepError):
+            with suppress(linksweep.SweepError):
                 check(store)
             continue
         report = check(store)
@@ -181,7 +180,7 @@ def test_whatever_happens_to_its_files_is_named_and_mended(history, step, trials
         is_told(store, differing & used, wanted, sweep)
         if is_one and (report.identity or report.ledger):
             [file] = differing
-            with pytest.raises(SweepError, match=r"damaged .*`sweep check .* --repair") as told:
+            with pytest.raises(linksweep.SweepError, match=r"damaged .*`sweep check .* --repair") as told:
                 run(document, store)
             assert any(file in problem for problem in told.value.problems), file
             assert repair(store)
@@ -205,7 +204,7 @@ def is_told(store, differing, wanted, sweep):
         for name in found.data_vars.keys() & wanted.keys() - {"status"}:
             np.testing.assert_array_equal(found[name].values[done], there[name].values[done])
             assert found[name].attrs == wanted[name].attrs
-    except SweepError as error:
+    except linksweep.SweepError as error:
         problems = error.problems
     code, out, err = sweep("status", store, "--json")
     if code:
@@ -243,7 +242,7 @@ def test_a_flipped_root_is_damaged_wherever_the_bit(place, coins, step):
             location.delete("blocks/zarr.json")
         for at in range(0, len(root), step):
             location.put("zarr.json", flip(root, at))
-            with pytest.raises(SweepError, match=r"(?s)\A(?!.*nothing is damaged).*damaged"):
+            with pytest.raises(linksweep.SweepError, match=r"(?s)\A(?!.*nothing is damaged).*damaged"):
                 linksweep.open(place)
 
 
@@ -252,7 +251,7 @@ def test_a_store_whose_two_documents_are_damaged_says_what_to_do(history):
     cuts = {file: cut(writings[-1][file]) for file in ("zarr.json", "blocks/zarr.json")}  # which names its copy
     restored(store, writings[-1] | cuts)
     for action in (check, repair, linksweep.open, lambda store: run(document, store)):
-        with pytest.raises(SweepError, match=r"both damaged, .* bring one back"):
+        with pytest.raises(linksweep.SweepError, match=r"both damaged, .* bring one back"):
             action(store)
 
 
@@ -263,7 +262,7 @@ def test_what_is_no_store_or_is_written_to_is_left_alone(tmp_path, coins):
     before = files_of(tmp_path)
     words = {"none": "no store there", "mine": "is not a store of linksweep", "s.zarr": "is being written by process"}
     for (name, message), action in itertools.product(words.items(), (check, repair)):
-        with opening.locked(tmp_path / "s.zarr"), pytest.raises(SweepError, match=message):
+        with opening.locked(tmp_path / "s.zarr"), pytest.raises(linksweep.SweepError, match=message):
             action(tmp_path / name)
     assert files_of(tmp_path) == before
 
@@ -322,5 +321,5 @@ def test_every_command_gives_a_sentence_about_a_forged_document(here, sweep_here
 def test_the_field_is_named(coin_store, tmp_path, field):
     shutil.copytree(coin_store, tmp_path / "s.zarr")
     opening.forge(tmp_path / "s.zarr", lambda attributes: attributes.update({field: [1]}))
-    with pytest.raises(SweepError, match=rf"zarr\.json is damaged \(attributes\.{field}: "):
+    with pytest.raises(linksweep.SweepError, match=rf"zarr\.json is damaged \(attributes\.{field}: "):
         linksweep.open(tmp_path / "s.zarr")

@@ -14,9 +14,8 @@ from zarr.storage import ObjectStore
 import linksweep
 from linksweep import SweepError
 from tests.documents import run_commands
-from tests.sweep import opening
 from tests.sweep.conftest import make_bucket
-from tests.sweep.opening import OFTEN, existing_store, located, run, same
+from tests.sweep.opening import OFTEN, existing_store, located, location, run, same
 from tests.tiers import slow
 
 WRONG = {  # what is said of which bucket and variables of the environment
@@ -132,7 +131,7 @@ def test_requests_that_fail_are_repeated(bucket, coins, wanted, through, kind):
 
 @pytest.mark.slow  # requests are repeated for seconds
 def test_a_connection_that_breaks_for_good_keeps_what_was_finished(bucket, coins, wanted, through, monkeypatch):
-    monkeypatch.setattr(opening.location, "TIMEOUT", opening.location.TIMEOUT / 10)
+    monkeypatch.setattr(location, "TIMEOUT", location.TIMEOUT / 10)
     proxy = through(lambda number: "reset" if len(proxy.requests) > 60 else None)
     with pytest.raises(SweepError, match=r"cannot be written: .* not answer as it should.* same command goes on"):
         run(coins, f"{bucket}/s.zarr", OFTEN)

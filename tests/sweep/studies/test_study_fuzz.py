@@ -10,7 +10,6 @@ import pytest
 from click.testing import CliRunner
 
 import linksweep
-from linksweep import SweepError
 from linksweep.sweep.cli import main
 from tests.documents import save_files
 from tests.sweep.mutations import ROOT, mutants
@@ -44,7 +43,7 @@ ADDRESSES_KB = 2**20  # a gigabyte of addresses, of which the interpreter with N
 @pytest.mark.parametrize("place", ["v_max", "n_obj", "model", "n_sim"])
 def test_integers_that_cannot_be_printed(number, place, tmp_path):
     where = {"sampling": {place: number}} if place == "n_sim" else {"axes": {place: [number]}}
-    with pytest.raises(SweepError):
+    with pytest.raises(linksweep.SweepError):
         linksweep.run({"title": "t", **where}, tmp_path / "s.zarr")
 
 

@@ -13,7 +13,6 @@ from astropy.table import Table, vstack
 from hypothesis import Phase, given, settings, strategies as st
 
 import linksweep
-from linksweep import SweepError
 from linksweep.core.frames import DEGREE, MAS
 from linksweep.core.tie.astrometry import PAIRS, bends, by_errors, parallax_factors, propagated
 from linksweep.sweep.tie.tables import built_in
@@ -311,7 +310,7 @@ def test_a_mistake_is_refused_or_named_with_its_cause(tmp_path, mistake):
     try:
         link = linked(tmp_path, sky, units=False, accept_misfit=True, **options)
         found, refused = link.attrs["misfit"], False
-    except SweepError as error:
+    except linksweep.SweepError as error:
         found, refused = str(error), True
     assert re.search(said, found), found
     assert refused == (mistake in REFUSALS)
@@ -357,7 +356,7 @@ def test_an_orbit_is_that_of_one_star_and_one_that_is_not_on_the_sky_is_none(tmp
         ([[5, *one[1:], *angles]], {}, "no whole orbit of a star with observations"),
         ([[*one, *angles]], {"star_models": {str(10**17): "7"}}, f"model 7 of {10**17}, which has an orbit"),
     ):
-        with pytest.raises(SweepError, match=said):
+        with pytest.raises(linksweep.SweepError, match=said):
             link(*rows, **options)
 
 
@@ -365,7 +364,7 @@ def test_text_in_a_file_is_never_run(tmp_path):
     linked(tmp_path, drawn(1, ["5"] * 3), form="csv")
     path, run = tmp_path / "scans.csv", f"__import__('pathlib').Path('{tmp_path}/ran').touch()"
     path.write_text(re.sub(r'"\(.*?"', f'"{run}"', path.read_text(), count=1))
-    with pytest.raises(SweepError, match="cannot be read as epoch astrometry"):
+    with pytest.raises(linksweep.SweepError, match="cannot be read as epoch astrometry"):
         linksweep.tie(tmp_path / "gaia.fits", tmp_path / "vlbi.fits", epochs=[path])
     assert not (tmp_path / "ran").exists()
 

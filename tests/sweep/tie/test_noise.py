@@ -11,7 +11,6 @@ from scipy.linalg import block_diag, null_space
 from scipy.optimize import minimize
 
 import linksweep
-from linksweep import SweepError
 from linksweep.core.tie.astrometry import joined, propagated
 from linksweep.core.tie.forecast import Simulation
 from linksweep.core.tie.noise import estimated, noises
@@ -181,7 +180,7 @@ def test_the_advice_for_a_kind_with_few_rows_works_and_what_results_say_is_an_op
         table[name].mask[4] = name != "ref_epoch"  # a row of nothing
     table.write(tmp_path / "reference.ecsv")
     tables = gaia(tmp_path / "satellite.ecsv", stars(20)), tmp_path / "reference.ecsv"
-    with pytest.raises(SweepError) as refused:
+    with pytest.raises(linksweep.SweepError) as refused:
         linksweep.tie(*tables, "orientation", jitter="estimate")
     advice = re.search("--jitter '(.+?)'", str(refused.value))[1]
     assert advice == "single epoch=0.1"

@@ -7,7 +7,6 @@ import pytest
 from astropy.table import Column, MaskedColumn, Table
 
 import linksweep
-from linksweep import SweepError
 from tests.core.tie.made import gaia_table, stars
 
 N = 12
@@ -44,7 +43,6 @@ REFUSED = [
     ("no column 'parallax'", {"parallax": None}, {}, {}),
     ("an error but no value of parallax in row 2", {"parallax": at(2, np.nan)}, {}, {}),
     ("no Julian year, MJD or JD from 1700 to 2300 in row 2", {}, {"ref_epoch": at(2, 0.0, 2016.0)}, {}),
-    ("no Julian year, MJD or JD from 1700 to 2300 in row 1, 2, 3", {}, {"ref_epoch": at(0, 0, 15.5)}, {}),
     ("no date like .* row 1 has 'June 2015'", {}, {"ref_epoch": ["June 2015", *["2016-01-01"] * (N - 1)]}, {}),
     (r"no epoch \(column 'ref_epoch'\) in row 2", {}, {"ref_epoch": GAP}, {}),
     ("without one of its coordinates", ACCELERATED | {"accel_dec": at(0, 0, np.nan)}, {}, {}),
@@ -63,7 +61,6 @@ REFUSED = [
     ("no row of the reference is such a position", {}, {}, {"aberration": 5.8}),
     ("position:-1: the radius must be above 0", {}, {}, {"by": "position:-1"}),
     ("no row is of the kind position; there are five-parameter", {}, {}, {"jitter": {"position": (0.1, 0.0)}}),
-    ("no row is of the kind position", {}, {}, {"jitter": "estimate,position=0.1"}),
     ("in mas and mas/yr", {}, {}, {"jitter": {"five-parameter": "0.2 mas"}}),
     *(("no kind of row five", {}, {}, {"jitter": {"five": (1.0, 1.0)}}), ("KIND=MAS", {}, {}, {"jitter": "estimated"})),
     ("not negative", {}, {}, {"jitter": {"five-parameter": -0.1}}),
@@ -85,6 +82,6 @@ def test_what_is_wrong_is_named(tmp_path, words, own, rows, options):
     if isinstance(options.get("known_spin"), dict):
         Table(options["known_spin"]).write(tmp_path / "spins.csv")
         options = {"known_spin": tmp_path / "spins.csv"}
-    with pytest.raises(SweepError, match=words) as error:
+    with pytest.raises(linksweep.SweepError, match=words) as error:
         linksweep.tie(*paths, **options)
     assert len(error.value.problems) == 1

@@ -7,7 +7,6 @@ import pytest
 from astropy.table import Table
 
 import linksweep
-from linksweep import SweepError
 from linksweep.core.frames import ARCSEC, MAS
 from linksweep.core.tie.astrometry import propagated
 from linksweep.sweep.tie.tables import TableOptions, read_table
@@ -58,7 +57,7 @@ def test_columns_of_names_are_the_same_in_any_case(tmp_path, by):
     numbers = np.arange(12) + 100
     tables = two_tables(tmp_path, own={"hip": numbers}, other={"HIP": numbers})
     assert linksweep.tie(*tables, "orientation", by=by).attrs["matched_by"] == "hip = HIP"
-    with pytest.raises(SweepError, match="like '100"):
+    with pytest.raises(linksweep.SweepError, match="like '100"):
         linksweep.tie(*tables, "orientation", by="hipp")
 
 
@@ -96,7 +95,7 @@ def test_raw_hip2_is_recognised_without_its_readme(tmp_path):
     assert set(read.astrometry.epoch) == {1991.25}
     assert next(iter(read.names.values())).tolist() == [str(k + 1) for k in range(8)]
     (tmp_path / "cut.dat").write_text("\n".join([*lines[:2], lines[2][:200], *lines[3:]]))
-    with pytest.raises(SweepError, match="no such row in line 3"):
+    with pytest.raises(linksweep.SweepError, match="no such row in line 3"):
         read_table(tmp_path / "cut.dat")
 
 

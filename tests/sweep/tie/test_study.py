@@ -10,7 +10,6 @@ from click.testing import CliRunner
 from scipy import stats
 
 import linksweep
-from linksweep import SweepError, load_study
 from linksweep.sweep.cli import main
 from linksweep.sweep.studies.reader import study_from_dict
 from linksweep.sweep.tie.experiment import FIELDS, check, design_of, tie
@@ -36,7 +35,7 @@ CASES = {  # in a study, and in Python
 
 
 def point(study, **changes):
-    return tie.defaults() | load_study(study).fixed | changes
+    return tie.defaults() | linksweep.load_study(study).fixed | changes
 
 
 def results(at, n_sim=400, seed=1):
@@ -197,11 +196,11 @@ def test_studies_and_forecasts_have_every_option_of_a_link_under_its_name():
 @pytest.mark.parametrize(("name", "value", "text"), [*WRONG, ("star_models", {"all": "7"}, "star-model=all=7")])
 def test_a_wrong_value_has_the_same_sentence_everywhere(tmp_path, name, value, text):
     table = str(gaia(tmp_path / "satellite.ecsv", stars(9, 3)))
-    with pytest.raises(SweepError) as error:
+    with pytest.raises(linksweep.SweepError) as error:
         linksweep.tie(table, table, **{name: value})
-    with pytest.raises(SweepError, match=f"^{re.escape(str(error.value))}$"):
+    with pytest.raises(linksweep.SweepError, match=f"^{re.escape(str(error.value))}$"):
         linksweep.forecast(table, table, **{name: value})
-    with pytest.raises(SweepError, match=re.escape(str(error.value))):
+    with pytest.raises(linksweep.SweepError, match=re.escape(str(error.value))):
         written(tmp_path, satellite=table, reference=table, **{name: value})
     for command in ("tie", "forecast"):
         done = CliRunner().invoke(main, [command, table, table, f"--{text}"])
