@@ -20,8 +20,7 @@ ONLY_IN = {
     **{"click": "sweep.cli", "distributed": "sweep.executing", "zarr": "sweep.stores", "obstore": "sweep.stores"},
     **{"erfa": "core.tie.astrometry", "pygaia": "core.missions", "sweep.search": "sweep.search sweep.cli.run"},
     "matplotlib": "sweep.plots sweep.report sweep.api",  # the last for a type
-    "bokeh": "sweep.report",
-    "jinja2": "sweep.report",
+    **dict.fromkeys(("bokeh", "jinja2"), "sweep.report"),
     "pydantic": "sweep.studies sweep.stores sweep.executing sweep.functions.results",  # the last for records alone
     "astropy": "sweep.contract.experiment sweep.tables sweep.table_writer sweep.formatting sweep.analysis "
     "sweep.result sweep.search sweep.tie",
@@ -35,10 +34,8 @@ OF_THE_PLATFORM = {
     "sweep.search": "sweep.search sweep.contract sweep.tables sweep.formatting sweep.plots sweep.table_writer "
     "sweep.result sweep.stores.location",
 }
-OF_LIBRARIES = {
-    "core": "numpy scipy pygaia erfa pandas bisect dataclasses typing collections types functools itertools math re "
-    "csv importlib json sys"
-}
+OF_LIBRARIES = {"core": "numpy scipy pygaia erfa pandas bisect dataclasses typing collections types functools"}
+OF_LIBRARIES["core"] += " itertools math re csv importlib json sys"
 # Of the core, the experiment and what it is made of know the contract.
 KNOWS_THE_CONTRACT = "core.parameters core.setup core.experiment core.missions core.catalogues core.errors"
 FILES = {

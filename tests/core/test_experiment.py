@@ -62,9 +62,8 @@ def test_summarise_against_direct_formulas(solve_glide):
     sums = {name: sum(block[name] for block in blocks) for name in link.sums}
     results = {k: v[0] for k, v in link.summarise(sums, np.array([40.0]), np.array([5.0])).items()}
     names = ("error", "predicted_variance", "predicted_bias", "chi2", "condition_number", "predicted_square_variance")
-    error, predicted, predicted_bias, chi2, condition, of_squares = (
-        np.array([block[name][0] for block in blocks]) for name in names
-    )
+    each = (np.array([block[name][0] for block in blocks]) for name in names)
+    error, predicted, predicted_bias, chi2, condition, of_squares = each
     assert np.all(np.isnan(error[:, 6:]) == (not solve_glide))
     error, total = np.nan_to_num(error), predicted + predicted_bias**2
     expected = {"n_obj": 12.0, "dof": 4 * 12 - (9 if solve_glide else 6)}

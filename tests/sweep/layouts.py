@@ -14,29 +14,20 @@ LINKS = {  # what a module has to define so that NAME(x) calls INNER(x), which I
     "inner import": "def NAME(x):\n    IMPORT\n    return INNER(x)",
     "method": "class C_NAME:\n    def run(self, x):\n        return INNER(x)\n\nNAME_object = C_NAME()\n\ndef NAME(x):\n    return NAME_object.run(x)",
     "property": "class C_NAME:\n    @property\n    def value(self):\n        return INNER(0.0)\n\ndef NAME(x):\n    return x + C_NAME().value",
-    "static": "class C_NAME:\n    @staticmethod\n    def run(x):\n        return INNER(x)\n\ndef NAME(x):\n    return C_NAME.run(x)",
     "cached": "import functools\n\n@functools.lru_cache\ndef NAME(x):\n    return INNER(x)",
     "vectorised": "import numpy as np\n\nNAME_v = np.vectorize(lambda x: INNER(x))\n\ndef NAME(x):\n    return float(NAME_v(x))",
     "wrapped": "import functools\n\ndef NAME_deco(g):\n    @functools.wraps(g)\n    def inner(x):\n        return g(x)\n    return inner\n\n@NAME_deco\ndef NAME(x):\n    return INNER(x)",
     "registry": "NAME_all = {}\n\ndef NAME_add(g):\n    NAME_all[g.__name__] = g\n    return g\n\n@NAME_add\ndef one(x):\n    return INNER(x)\n\ndef NAME(x):\n    return NAME_all['one'](x)",
-    "table": "NAME_all = {'one': lambda x: INNER(x), 'two': len}\n\ndef NAME(x):\n    return NAME_all['one'](x)",
     "partial": "import functools\n\ndef NAME_two(k, x):\n    return INNER(x) + k\n\nNAME = functools.partial(NAME_two, 0.0)",
     "closure": "def NAME_make(g):\n    return lambda x: g(x)\n\nNAME = NAME_make(lambda x: INNER(x))",
     "counter": "class C_NAME:\n    def __init__(self):\n        self.calls = 0\n    def run(self, x):\n        self.calls += 1\n        return INNER(x)\n\nNAME = C_NAME().run",
-    "nonlocal": "def NAME_make():\n    n = 0\n    def inner(x):\n        nonlocal n\n        n += 1\n        return INNER(x)\n    return inner\n\nNAME = NAME_make()",
     "lazy": "import functools\n\nclass C_NAME:\n    def __init__(self):\n        self.first = None\n    @functools.cached_property\n    def zero(self):\n        return 0.0\n    def run(self, x):\n        if self.first is None:\n            self.first = [x]\n        return INNER(x) + self.zero\n\nNAME_object = C_NAME()\n\ndef NAME(x):\n    return NAME_object.run(x)",
-    "method import": "class C_NAME:\n    def run(self, x):\n        IMPORT\n        return INNER(x)\n\ndef NAME(x):\n    return C_NAME().run(x)",
     "own names": "from dataclasses import dataclass\n\n@dataclass\nclass C_NAME:\n    k: float = 1.0\n    n = 2.0\n    m = n * 2\n    g: object = None\n    def run(self, y):\n        return self.g(y)\n\nNAME_all = {'a': lambda v: INNER(v)} | {i: j for i, j in [(1, 2)]}\n\ndef NAME(x):\n    NAME_all[x] = x\n    return C_NAME(g=NAME_all['a']).run(x)",
     "registered later": "import functools\n\n@functools.singledispatch\ndef NAME(x):\n    return 0.0\n\n@NAME.register\ndef _(x: float):\n    return INNER(x)",
     "method set later": "class C_NAME:\n    pass\n\nC_NAME.run = lambda self, x: INNER(x)\n\ndef NAME(x):\n    return C_NAME().run(x)",
     "metaclass": "class M_NAME(type):\n    def __call__(cls, x):\n        return INNER(x)\n\nclass NAME(metaclass=M_NAME):\n    pass",
-    "abstract": "from abc import ABC, abstractmethod\n\nclass B_NAME(ABC):\n    @abstractmethod\n    def run(self, x): ...\n\nclass C_NAME(B_NAME):\n    def run(self, x):\n        return INNER(x)\n\ndef NAME(x, one=C_NAME()):\n    return one.run(x)",
-    "attribute by name": "import operator\n\nclass C_NAME:\n    def run(self, x):\n        return INNER(x)\n\nNAME_run = operator.methodcaller('run', 1.0)\n\ndef NAME(x):\n    return NAME_run(C_NAME()) + x",
     "descriptor": "class D_NAME:\n    def __get__(self, one, kind=None):\n        return INNER\n\nclass C_NAME:\n    run = D_NAME()\n\ndef NAME(x):\n    return C_NAME().run(x)",
     "subclasses": "class B_NAME:\n    def __init_subclass__(cls):\n        B_NAME.last = cls\n\nclass C_NAME(B_NAME):\n    def run(self, x):\n        return INNER(x)\n\ndef NAME(x):\n    return B_NAME.last().run(x)",
-    "conditional inner import": "def NAME(x):\n    if x < -1e9:\n        import surely_not_there\n    else:\n        IMPORT\n    return INNER(x)",
-    "enum of functions": "from enum import Enum\nfrom functools import partial\n\nclass E_NAME(Enum):\n    A = partial(lambda x: INNER(x))\n\ndef NAME(x):\n    return E_NAME.A.value(x)",
-    "star args": "def NAME_apply(*functions):\n    def inner(x):\n        for one in functions:\n            x = one(x)\n        return x\n    return inner\n\nNAME = NAME_apply(lambda x: x, lambda x: INNER(x))",
     "only imported": "import numpy\n\ndef NAME(x):\n    return x + numpy.NAME_here",
     "given to an object": "class A_NAME:\n    def __init__(self):\n        self.table, self.calls = {}, 0\n    def add(self, name):\n        def keep(g):\n            self.table[name] = g\n            return g\n        return keep\n    def run(self, name, x):\n        self.calls += 1\n        return self.table[name](x)\n\nA_NAME_all = A_NAME()\n\n@A_NAME_all.add('one')\ndef NAME_one(x):\n    return INNER(x)\n\ndef NAME(x):\n    return A_NAME_all.run('one', x)",
 }
@@ -60,29 +51,15 @@ ENDS = {  # how the constant, CONSTANT, comes into NAME(x)
     "state": "import decimal\n\ndecimal.getcontext().prec = int(CONSTANT)\n\ndef NAME(x):\n    return float(decimal.Decimal(1) / decimal.Decimal(3)) + x",
     "factory": "from dataclasses import dataclass, field\n\ndef NAME_k():\n    return [CONSTANT]\n\n@dataclass\nclass C_NAME:\n    k: list = field(default_factory=NAME_k)\n\ndef NAME(x):\n    return x + C_NAME().k[0]",
     "slots": "class C_NAME:\n    __slots__ = ('k',)\n    def __init__(self, k):\n        self.k = k\n\nNAME_object = C_NAME(CONSTANT)\n\ndef NAME(x):\n    return x + NAME_object.k",
-    "partial method": "import functools\n\nclass C_NAME:\n    def two(self, k, x):\n        return x + k\n    run = functools.partialmethod(two, CONSTANT)\n\ndef NAME(x):\n    return C_NAME().run(x)",
-    "member": "from enum import Enum\n\nclass E_NAME(Enum):\n    A = 1\n    @property\n    def k(self):\n        return CONSTANT\n\ndef NAME(x):\n    return x + E_NAME.A.k",
     "cached": "import functools\n\n@functools.lru_cache(maxsize=None)\ndef NAME(x):\n    return x + CONSTANT",
-    "module attribute": "import types\n\nNAME_module = types.ModuleType('NAME_module')\nNAME_module.k = CONSTANT\n\ndef NAME(x):\n    return x + NAME_module.k",
     "series": "import pandas as pd\n\nS_NAME = pd.Series([0.0, CONSTANT])\n\ndef NAME(x):\n    return x + float(S_NAME.iloc[1])",
     "spline": "import numpy as np\nfrom scipy.interpolate import CubicSpline\n\nS_NAME = CubicSpline(np.arange(4.0), np.arange(4.0) * CONSTANT)\n\ndef NAME(x):\n    return x + float(S_NAME(1.0))",
-    "annotated": "from dataclasses import dataclass\n\n@dataclass\nclass C_NAME:\n    x: float\n    k: float = CONSTANT\n    def __post_init__(self):\n        self.x = self.x + self.k\n\ndef NAME(x):\n    return C_NAME(x).x",
     "frompyfunc": "import numpy as np\n\nU_NAME = np.frompyfunc(lambda x: x + CONSTANT, 1, 1)\n\ndef NAME(x):\n    return float(U_NAME(x))",
-    "flag": "import enum\n\nclass E_NAME(enum.Flag):\n    A = enum.auto()\n    B = int(2 ** CONSTANT)\n\ndef NAME(x):\n    return x + (E_NAME.A | E_NAME.B).value",
     "single dispatch method": "import functools\n\nclass C_NAME:\n    @functools.singledispatchmethod\n    def run(self, x):\n        return -1.0\n    @run.register\n    def _(self, x: float):\n        return x + CONSTANT\n\ndef NAME(x):\n    return C_NAME().run(float(x))",
-    "metaclass new": "class M_NAME(type):\n    def __new__(m, name, bases, names):\n        names['k'] = CONSTANT\n        return super().__new__(m, name, bases, names)\n\nclass C_NAME(metaclass=M_NAME):\n    pass\n\ndef NAME(x):\n    return x + C_NAME.k",
     "literal type": "from typing import Literal, get_args\n\nT_NAME = Literal[int(CONSTANT), -1]\n\ndef NAME(x):\n    return x + get_args(T_NAME)[0]",
-    "generic": "from typing import Generic, TypeVar\n\nT = TypeVar('T')\n\nclass C_NAME(Generic[T]):\n    def __init__(self, k):\n        self.k = k\n    def run(self):\n        return self.k\n\nNAME_o = C_NAME[float](CONSTANT)\n\ndef NAME(x):\n    return x + NAME_o.run()",
-    "annotations read": "from typing import Annotated, get_type_hints\n\nK_NAME = CONSTANT\n\ndef NAME_a(x: Annotated[float, K_NAME]):\n    return x\n\ndef NAME(x):\n    return x + get_type_hints(NAME_a, include_extras=True)['x'].__metadata__[0]",
-    "array by out": "import numpy as np\n\nA_NAME = np.ones(3)\nnp.multiply(A_NAME, CONSTANT, out=A_NAME)\n\ndef NAME(x):\n    return x + float(A_NAME[0])",
-    "own distribution": "import scipy.stats\n\nclass D_NAME(scipy.stats.rv_continuous):\n    def _pdf(self, x):\n        return 1.0 / CONSTANT\n\nNAME_d = D_NAME(a=0.0, b=1.0)\n\ndef NAME(x):\n    return x + float(NAME_d.pdf(0.5))",
     "exec": "exec('def NAME(x):\\n    return x + CONSTANT')",
     "exec of a global": "D_NAME = {'K': CONSTANT}\nexec('def one(x):\\n    return x + K', D_NAME)\n\nNAME = D_NAME['one']",
-    "make dataclass": "import dataclasses\n\nC_NAME = dataclasses.make_dataclass('C_NAME', [('k', float, CONSTANT)])\n\ndef NAME(x):\n    return x + C_NAME().k",
-    "weak": "import weakref\n\nclass C_NAME:\n    def __init__(self, k):\n        self.k = k\n\nNAME_o = C_NAME(CONSTANT)\nW_NAME = weakref.ref(NAME_o)\n\ndef NAME(x):\n    return x + W_NAME().k",
-    "default dict": "from collections import defaultdict\n\nD_NAME = defaultdict(lambda: CONSTANT)\n\ndef NAME(x):\n    return x + D_NAME['any']",
     "struct": "import struct\n\nS_NAME = struct.Struct('%dd' % CONSTANT)\n\ndef NAME(x):\n    return x + S_NAME.size",
-    "decorator class": "class NAME_deco:\n    def __init__(self, k):\n        self.k = k\n    def __call__(self, g):\n        self.g = g\n        return self.run\n    def run(self, x):\n        return self.g(x) + self.k\n\n@NAME_deco(CONSTANT)\ndef NAME(x):\n    return x",
     "given to a library": "from dask.sizeof import sizeof\n\nclass C_NAME:\n    pass\n\n@sizeof.register(C_NAME)\ndef NAME_size(one):\n    return CONSTANT\n\ndef NAME(x):\n    return x + sizeof(C_NAME())",
     "class given to a library": "import dask.sizeof\n\n@dask.sizeof.sizeof.register(frozenset)\nclass NAME_size(float):\n    k = CONSTANT\n    def __new__(cls, one):\n        return cls.k\n\ndef NAME(x):\n    return x + dask.sizeof.sizeof(frozenset())",
     "given to what changes": "NAME_all = {}\n\ndef NAME_given(g):\n    NAME_all[g.__name__] = g\n    return g\n\n@NAME_given\ndef NAME_one(x):\n    return x + CONSTANT\n\ndef NAME(x):\n    NAME_all.setdefault('n', 0)\n    return NAME_all['NAME_one'](x)",
@@ -90,9 +67,7 @@ ENDS = {  # how the constant, CONSTANT, comes into NAME(x)
     "code replaced": "def NAME_other(x):\n    return x + CONSTANT\n\ndef NAME(x):\n    return x\n\nNAME.__code__ = NAME_other.__code__",
     "function copied": "import types\n\ndef NAME_one(x):\n    return x + K\n\nNAME = types.FunctionType(NAME_one.__code__, {'K': CONSTANT})",
     "global in helper": "K_NAME = 0.0\n\ndef NAME_init():\n    global K_NAME\n    K_NAME = CONSTANT\n\nNAME_init()\n\ndef NAME(x):\n    return x + K_NAME",
-    "attribute memory": "class C_NAME:\n    pass\n\nC_NAME.memory = {'k': CONSTANT}\n\ndef NAME(x):\n    C_NAME.memory[x] = x\n    return x + C_NAME.memory['k']",
     "cyclic list": "L_NAME = [CONSTANT]\nL_NAME.append(L_NAME)\n\ndef NAME(x):\n    return x + L_NAME[1][1][0]",
-    "ndarray subclass": "import numpy as np\n\nclass A_NAME(np.ndarray):\n    pass\n\nNAME_a = np.zeros(2).view(A_NAME)\nNAME_a.k = CONSTANT\n\ndef NAME(x):\n    return x + NAME_a.k",
     "lambda of a line": "L_NAME = [lambda x: x, lambda x: -x, lambda x: 1.0, lambda x: x + 1.0, lambda x: x + 2.0][int(CONSTANT)]\n\ndef NAME(x):\n    return L_NAME(x) + 1.0",
     "set of closures": "def NAME_make(k):\n    return lambda x: x + k\n\nNAME_all = {NAME_make(k) for k in (CONSTANT, *range(20))}\n\ndef NAME(x):\n    return sum(one(x) for one in NAME_all)",
     "private": "_C_NAME__K = CONSTANT\n\nclass C_NAME:\n    def run(self, x):\n        return x + __K\n\ndef NAME(x):\n    return C_NAME().run(x)",
@@ -102,27 +77,16 @@ ENDS = {  # how the constant, CONSTANT, comes into NAME(x)
 }
 UNUSED = """
 g = i = j = k = m = n = v = value = y = run = OTHER
-import click, dataclasses, functools, linksweep, numpy, pytest
+import click, dataclasses, linksweep, numpy
 def unused(x):
     return x * OTHER
 @dataclasses.dataclass
 class Unused:
     k: float = OTHER
-@functools.total_ordering
-class Ordered:
-    k = OTHER
-    def __lt__(self, other):
-        return True
 @click.command
 @click.option("--k", default=OTHER)
 def command(k):
     print(OTHER)
-@pytest.fixture
-def fixture():
-    return OTHER
-@pytest.mark.parametrize("x", [OTHER])
-def test_it(x):
-    assert x > OTHER
 @numpy.vectorize
 def vectorised(x):
     return OTHER

@@ -48,7 +48,6 @@ WRONG_FILES += [(LOCAL + "adapt = { minimum = 1 }\n", "adapt: must say a maximum
 WRONG_FILES += [(LOCAL + "adapt = { minimum = 3, maximum = 2 }\n", "minimum = 3 must be at most maximum = 2")]
 WRONG_FILES += [(LOCAL + "adapt = { maximum = 2, pace = 3 }\n", "unknown key adapt.pace")]
 WRONG_FILES += [(LOCAL + "scale = 1\nscales = 1\n", "unknown key scales"), (LOCAL + "scale = true", "valid integer")]
-WRONG_FILES += [slow(LOCAL + 'scale = 1\n[options]\nhost = "1.2.3.4"\n', "distributed.LocalCluster: ")]
 
 
 @pytest.mark.slow

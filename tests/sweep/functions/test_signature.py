@@ -24,7 +24,6 @@ WRONG = [  # what is declared of which function, and what is said of it
     ({"shared": "gian"}, lambda rng, gain: gain, "shared: 'gian' is no parameter; did you mean 'gain'?"),
     ({"shared": ["gain"]}, lambda gain: gain, "shared: it takes no rng, and so it draws no random numbers"),
     ({"deterministic": "no"}, lambda x: x, "deterministic = 'no': must be True or False"),
-    ({"outputs": [Output("a", ragged=3)]}, lambda x: [x], "ragged = 3: must be True, or one of its dims"),
     ({"outputs": [Output("a", dims="s", ragged="t")]}, lambda x: [x], "'t': must be True, or one of its dims (s)"),
     ({"outputs": [replace(RAGGED, dims=("s", "t"))]}, lambda x: [x], "its dimensions, such as ragged='t'"),
     ({"outputs": [replace(RAGGED, dims="s", coords={"s": [1, 2]})]}, lambda x: [x], "return its coordinate as another"),

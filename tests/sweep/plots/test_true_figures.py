@@ -199,8 +199,6 @@ def test_a_series_over_days_is_a_line_over_days(tmp_path):
     for line, values in zip(axes.lines, ds["height"].transpose("rate", "day").values, strict=False):
         assert np.array_equal(np.diff(line.get_xdata()), np.ones(59))
         assert np.array_equal(line.get_ydata(), values)
-    one = linksweep.plot(ds.isel(day=slice(0, 2)), over=["rate"])
-    assert {"2024-01-01", "2024-01-02"} <= set(one.axes[0].get_legend_handles_labels()[1])
     with pytest.raises(linksweep.SweepError, match="'day' is no axis with several numbers"):
         linksweep.find(ds, "height > 0", over="day")
 

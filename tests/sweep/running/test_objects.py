@@ -198,19 +198,14 @@ def test_values_without_effect_are_on_no_axis_and_none_is_one_of_its_own(tmp_pat
     (tmp_path / "m.py").write_text(f"{g}def f(kernel: str, gamma=None):\n    return {{'y': repr(gamma)}}\n")
     study = {"experiment": f"{tmp_path}/m.py:f", "when": {"gamma": {"kernel": ["rbf"]}}}
     store = tmp_path / "s.zarr"
-    for axes, labels in (
-        ({"kernel": ["linear"]}, None),
-        ({"kernel": ["rbf"], "gamma": [0.5, 2.0]}, [0.5, 2.0, None]),
-        ({"kernel": ["rbf"], "gamma": ["None"]}, ["0.5", "2.0", "None", ""]),
-    ):
+    two, text = ({"kernel": ["rbf"], "gamma": values} for values in ([0.5, 2.0], ["None"]))
+    texts = ["0.5", "2.0", "None", ""]
+    for axes, labels in (({"kernel": ["linear"]}, None), (two, [0.5, 2.0, None]), (text, texts)):
         linksweep.run(study | {"axes": axes}, store, pool="serial")
         whole = linksweep.open(store)
         assert labels is None or pd.Series(whole.gamma.values).replace(np.nan, None).tolist() == labels
-    for at, words in (
-        ("kernel=rbf,gamma=None", "every bit"),
-        ("kernel=linear", "every bit"),
-        ("kernel=rbf", "gamma needs"),
-    ):
+    said = {"kernel=rbf,gamma=None": "every bit", "kernel=linear": "every bit", "kernel=rbf": "gamma needs"}
+    for at, words in said.items():
         assert words in sweep("reproduce", store, "--at", at)[2]
     fixed, some = (dict.fromkeys(["star", "tag"], one) for one in ("None", ["None"]))
     for number, more in enumerate(({"fixed": fixed}, {"axes": some}, {"points": some})):

@@ -33,11 +33,8 @@ KINDS = {  # from a random generator and the place in the grid: cost and seconds
     "equal": lambda chance, place: (1.0, chance.uniform(0.9, 1.1)),
     "growing": lambda chance, place: (1.0 + 9.0 * place, (1.0 + 9.0 * place) * chance.uniform(0.8, 1.2)),
     "shrinking": lambda chance, place: KINDS["growing"](chance, 1.0 - place),
-    "scattered": lambda chance, place: (
-        cost := chance.lognormvariate(0.0, 0.7),
-        cost * chance.lognormvariate(0.0, 0.3),
-    ),
 }
+KINDS["scattered"] = lambda chance, _: (cost := chance.lognormvariate(0.0, 0.7), cost * chance.lognormvariate(0.0, 0.3))
 SLOW = """
 import time
 def f(x: float):

@@ -23,7 +23,6 @@ WRONG = {  # what is said of which bucket and variables of the environment
     "there are no credentials; set AWS_ACCESS_KEY_ID": {"AWS_ACCESS_KEY_ID": None, "AWS_SECRET_ACCESS_KEY": None},
     "not encrypted; AWS_ALLOW_HTTP=true": {"AWS_ENDPOINT_URL": "", "AWS_ENDPOINT": "http://192.0.2.1"},
     "AWS_ENDPOINT_URL is '127.0.0.1:9', not an address": {"AWS_ENDPOINT_URL": "127.0.0.1:9"},
-    "there are no credentials": {"AWS_SECRET_ACCESS_KEY": ""},
     "there is no bucket 'there-is-none'": {"bucket": "s3://there-is-none"},
 }
 

@@ -81,14 +81,12 @@ NUMBER = st.sampled_from(["1.4", "-3", "0", "2", "1e9", "-0.5", str(2**53 + 1), 
 TEXT = st.sampled_from(["'S1'", '"x"', "'none'"])
 COMPARED = st.sampled_from(["<", "<=", ">", ">=", "==", "!="])
 IN = st.sampled_from(["in", "not in"])
+IN_LISTS = (COLUMN, IN, NUMBER, NUMBER), (st.just("s"), IN, TEXT, TEXT)
 COMPARISONS = st.one_of(
     st.builds("{} {} {}".format, COLUMN, COMPARED, NUMBER),
     st.builds("{} {} {} < {}".format, NUMBER, st.sampled_from(["<", "<="]), COLUMN, NUMBER),
     st.builds("s {} {}".format, st.sampled_from(["==", "!="]), TEXT),
-    *(
-        st.builds("{} {} [{}, {}]".format, *one)
-        for one in ((COLUMN, IN, NUMBER, NUMBER), (st.just("s"), IN, TEXT, TEXT))
-    ),
+    *(st.builds("{} {} [{}, {}]".format, *one) for one in IN_LISTS),
     *(st.builds("a {} b".format, COMPARED), st.just("flag")),
 )
 JOINED = [(2, "({}) & ({})"), (2, "{} | {}"), (2, "{} and {}"), (1, "~({})"), (1, "not ({})")]

@@ -265,11 +265,8 @@ def test_what_the_link_lacks_stays_and_is_said(tmp_path, has, lacks):
 def test_what_cannot_be_carried_is_refused_by_name(here):
     linked(here, EPSILON, OMEGA)
     both = ("satellite.ecsv", "reference.ecsv")
-    for options, said in (
-        ({"unknowns": "orientation,spin,glide"}, "has glide too"),
-        ({"bins": ("phot_g_mean_mag", [8.0])}, "spin"),
-        ({"known_spin": [0.1, 0.0, 0.0]}, "spin"),
-    ):
+    glide, bins = {"unknowns": "orientation,spin,glide"}, {"bins": ("phot_g_mean_mag", [8.0])}
+    for options, said in ((glide, "has glide too"), (bins, "spin"), ({"known_spin": [0.1, 0.0, 0.0]}, "spin")):
         with pytest.raises(linksweep.SweepError, match=said):
             linksweep.apply(linksweep.tie(*both, **options), "satellite.ecsv")
     assert CliRunner().invoke(main, ["tie", *both, "-o", "tie.zarr"]).exit_code == 0
