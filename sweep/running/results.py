@@ -4,9 +4,9 @@ import json
 import re
 from bisect import bisect_right
 from collections import defaultdict
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
-from itertools import accumulate, groupby
+from itertools import accumulate, chain, groupby
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -359,10 +359,15 @@ def _published(grid: Grid) -> dict[str, Variable]:
     outputs = {o.name: o for o in study.experiment.outputs if o.name not in study.axes and not o.dims}
     origin, rows = study.published.about.model_dump(exclude={"file"}, exclude_none=True), study.published.rows
     named = [name for name in study.experiment.defaults() if name in rows[0] and name not in outputs]
+    gone = np.setdiff1d(np.arange(len(grid)), grid.indices()) if study.excluded else np.arange(0)
+    excluded = [(point.index, point.parameters) for point in grid.points(gone) if grid.excludes(point.parameters)]
     there = defaultdict[tuple[float | str, ...], list[int]](list)
-    for index, parameters in grid.parameters():
-        there[tuple(_as_read(str(parameters[name])) for name in named)].append(index)
-    at = [there.get(tuple(_as_read(row[name]) for name in named), ()) for row in rows]
+    for index, parameters in chain(grid.parameters(), excluded):
+        there[tuple(_as_printed(parameters[name]) for name in named)].append(index)
+    known = [set(values) for values in zip(*there, strict=True)]
+    at = [
+        there.get(tuple(_as_read(row[name], some) for name, some in zip(named, known, strict=True)), ()) for row in rows
+    ]
     variables: dict[str, Variable] = {}
     for column in (name for name in rows[0] if name in outputs):
         output, printed = outputs[column], [(places, row[column]) for places, row in zip(at, rows, strict=True)]
@@ -380,10 +385,14 @@ def _published(grid: Grid) -> dict[str, Variable]:
     return variables
 
 
-def _as_read(text: str) -> float | str:
-    """Return the number that a text is, or the text itself."""
+def _as_printed(value: object) -> float | str:
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else str(value)
+
+
+def _as_read(text: str, known: Set[float | str]) -> float | str:
+    """Return the number that a text is, or the text itself where that is a value of the parameter."""
     try:
-        return float(text)
+        return text if text in known else float(text)
     except ValueError:
         return text
 

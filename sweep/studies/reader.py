@@ -393,9 +393,8 @@ def live_study(document: Mapping[str, Any]) -> Study:
         raise SweepError(f"{shown(function)} is neither a function nor an Experiment")
     written.setdefault("title", name)
     digest = ""
-    with suppress(
-        ValueError
-    ):  # of an integer that Python does not print, or an object, which are refused by name below
+    # Of an integer that Python does not print, or an object without a label, which are refused by name below.
+    with suppress(ValueError):
         known = json.dumps(written, sort_keys=True, default=lambda one: repr(labelled(one, otherwise="object")))
         digest = hashlib.sha256(known.encode()).hexdigest()
     return study_from_dict(written, f"{name}-{digest[:8]}", "", Code(afresh=isinstance(function, str)))
