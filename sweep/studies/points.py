@@ -560,27 +560,29 @@ def _apart(columns: Cells, form: PointsForm, values: Values) -> tuple[Cells, dic
     parameters = [parameter.name for parameter in values.experiment.parameters]
     results = [POINT, *values.experiment.coordinates, *(output.name for output in values.experiment.outputs)]
     taken = "is a parameter or a result; labels are other columns (reset_index() makes a column of an index)"
+    labels: dict[str, list[Any]] = {}
     for name in form.labels:
         problem = taken if name in (*parameters, *results) else name_problem(name)
         problem = problem if name in columns else f"is no column{suggest(name, list(columns))}"
-        if problem:
-            values.problems.add(("points", "labels"), f"{shown(name)}: {problem}")
+        with values.problems.at(("points", "labels"), f"{shown(name)}: "):
+            if problem:
+                raise ValueError(problem)
+            labels[name] = labels_of(columns[name])
     for name in columns.keys() - {*parameters, *form.labels}:
         hint = f"{suggest(name, parameters)}; as a label: labels = [{json.dumps(name)}]"
         values.problems.add(("points", form.source, name), f"unknown parameter {shown(name)}{hint}")
-    labels = {name: labels_of(columns[name]) for name in form.labels if name in columns}
     return {name: columns[name] for name in columns if name in parameters}, labels
 
 
 def is_missing(cell: object) -> bool:
     """Return whether there is no value in a cell."""
-    return cell is None or (isinstance(cell, float) and math.isnan(cell))
+    return cell is None or cell is np.ma.masked or (isinstance(cell, float) and math.isnan(cell))
 
 
 def labels_of(cells: Sequence[Any]) -> list[Any]:
     """Return the cells of a column as labels: numbers, floats if one has a fraction, truth values, all else as texts.
 
-    A missing label is NaN among numbers with a fraction, else an empty text.
+    A missing label is NaN among numbers with a fraction, else an empty text.  Raises ValueError as `label_of`.
 
     >>> labels_of([4472832130942575872, 7]), labels_of(["Sirius", 7, None])
     ([4472832130942575872, 7], ['Sirius', '7', ''])
@@ -592,7 +594,8 @@ def labels_of(cells: Sequence[Any]) -> list[Any]:
         return [math.nan if cell is None else float(cell) for cell in cells]
     if kinds == {bool} or (kinds == {int} and all(-(2**63) <= cell < 2**63 for cell in cells)):
         return cells
-    return ["" if cell is None else str(cell) for cell in cells]
+    printed = (*PLAIN_TYPES, list, tuple, dict)
+    return ["" if cell is None else str(cell) if type(cell) in printed else label_of(cell, str(cell)) for cell in cells]
 
 
 def _in_file(form: PointsForm, values: Values) -> tuple[Cells, dict[str, str]]:
@@ -721,11 +724,25 @@ def _designed(form: PointsForm, values: Values) -> tuple[Cells, dict[str, Any]]:
 # Objects of Python in place of a file
 
 
-def labelled(value: Any, label: str = "", otherwise: str = "") -> Named:
-    """Return an object as the value of a parameter: under a label, by default its name or what Python prints for it,
-    ``otherwise`` if that is none, and known by its canonical form and the code that it reaches.
+def label_of(value: Any, printed: str, otherwise: str = "") -> str:
+    """Return the name of an object, else what Python ``printed`` for it, ``otherwise`` where others may have that too.
 
-    Raises ValueError for an object without a canonical form, and for one that has no label of its own and gets none.
+    Raises ValueError for an object that has no label of its own and gets none.
+    """
+    name = value.name if isinstance(value, Enum) else getattr(value, "__name__", "")
+    label = name or " ".join(printed.split())
+    if label == "<lambda>" or " at 0x" in label or "..." in label or len(label) > LONGEST_LABEL:
+        label = otherwise
+    if not label:
+        raise ValueError(f"{shown(value)} has no label of its own; give it one, {{'label': value}}")
+    return str(label)
+
+
+def labelled(value: Any, label: str = "", otherwise: str = "") -> Named:
+    """Return an object as the value of a parameter: under a label, by default as `label_of`, and known by its canonical
+    form and the code that it reaches.
+
+    Raises ValueError for an object without a canonical form, and as `label_of`.
 
     >>> labelled((1, "a")).name, labelled(Path("a/b")).name, labelled(math.sqrt).name
     ("(1, 'a')", 'a/b', 'sqrt')
@@ -737,13 +754,8 @@ def labelled(value: Any, label: str = "", otherwise: str = "") -> Named:
     if code is not None and code.co_name == "<lambda>":  # there may be several in a line
         parts = parts | {"code": f"{code.co_code.hex()} {[one for one in code.co_consts if type(one) in PLAIN_TYPES]}"}
     if not label:
-        name = value.name if isinstance(value, Enum) else getattr(value, "__name__", "")
         is_text = isinstance(value, PurePath | datetime.date | datetime.time | np.datetime64) or is_quantity(value)
-        label = name or " ".join((str(value) if is_text else repr(value)).split())
-        if label == "<lambda>" or " at 0x" in label or "..." in label or len(label) > LONGEST_LABEL:
-            label = otherwise
-        if not label:
-            raise ValueError(f"{shown(value)} has no label of its own; give it one, {{'label': value}}")
+        label = label_of(value, str(value) if is_text else repr(value), otherwise)
     return Named(str(label), json.dumps(parts, sort_keys=True), value)
 
 

@@ -523,8 +523,7 @@ class _Reader:
                     Values.require_labels(values)
             objects = tuple({one.name: one for one in values if isinstance(one, Named)}.values())
             parameters.append(replace(parameter, defined=objects, when=when.get(name, {})))
-        same = tuple(parameters) == experiment.parameters
-        return experiment if same else replace(experiment, parameters=tuple(parameters))
+        return replace(experiment, parameters=tuple(parameters))
 
     def _form_and_experiment(self) -> tuple[Form, Experiment, bool]:
         """Return the document, as the options have changed it, without statements and without broken sections, so that

@@ -114,12 +114,13 @@ def test_an_object_of_ones_own_needs_a_label_and_constants_and_tables_have_objec
     assert ds.y.sel(x=2.0).values.tolist() == [16.0, 32.0]
     assert run(tmp_path / "c.zarr", fixed={"thing": (1, 2)}).text.item() == "tuple (1, 2)"
     things = [(1, 2), None, Colour.BLUE, np.sin, [3], {"k": (1, 2)}, (1, (2, 3))]
-    table = {"thing": things, "x": [*map(float, range(7))], "w": list("abcdefg")}
+    table = {"thing": things, "x": [*map(float, range(7))], "w": things}
     for number, points in enumerate((table, pd.DataFrame(table))):
         for rows in (3, 3, 7):  # it goes on and grows
             part = points.head(rows) if number else {name: column[:rows] for name, column in table.items()}
             ds = run(tmp_path / f"t{number}.zarr", points=part, labels="w")
         assert ds.thing.values.tolist() == ["(1, 2)", "None", "BLUE", "sin", "[3]", "{'k': (1, 2)}", "(1, (2, 3))"]
+        assert ds.w.values.tolist() == ["(1, 2)", "", *ds.thing.values[2:]]
         assert ds.text.values.tolist() == [described(thing)["text"] for thing in things]
 
 
