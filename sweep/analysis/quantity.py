@@ -319,11 +319,12 @@ def require_axis(dataset: xr.Dataset, variable: str, over: str | None) -> str:
     varied = varied_parameters(dataset) if POINT in dataset[variable].dims else []
     if len(varied) == 1 and dataset[varied[0]].dtype.kind in "if":
         axes += varied
-    listed_axes = ", ".join(axes) or "none"
+    listed_axes = ", ".join(axes) or "none" + (f", as points differ in {', '.join(varied)}" if len(varied) > 1 else "")
     if over is not None and over not in axes:
         raise SweepError(f"{shown(over)} is no axis with several numbers of {variable}; there are {listed_axes}")
     if over is None and len({dataset[axis].dims[0] for axis in axes}) != 1:
-        raise SweepError(f"name the axis with --over; {variable} has {listed_axes}")
+        ask = "name the axis with --over; " if axes else ""
+        raise SweepError(f"{ask}axes of {variable} with several numbers: {listed_axes}")
     return over or next((axis for axis in axes if axis in dataset.dims), axes[0])
 
 

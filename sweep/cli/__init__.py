@@ -526,7 +526,8 @@ class _Unfailing(io.TextIOWrapper):
         try:
             yield
         except OSError as error:
-            is_first, self.problem = self.problem is None, self.problem or error
+            is_first = self.problem is None
+            self.problem = self.problem or error
             if is_first and error.errno == errno.EPIPE and self.fileno() != 2:
                 raise
 

@@ -622,5 +622,6 @@ def _check_finite(arrays: Sequence[NDArray[Any]], layout: Layout, declared: Decl
             problems.append(f"{field.name} has {n} times that are NaT")
     if problems:
         hint = "declare Output(..., nan=True) where that is a value"
-        hint += ", or what a MultiIndex of pandas lacks" * any(len(field.dims) > 1 for field in layout.fields)
+        if any(len(field.dims) > 1 for field in layout.fields):
+            hint += ", or what a MultiIndex of pandas lacks"
         raise NotFiniteError(f"{declared.function}: {'; '.join(problems)} ({hint})")

@@ -521,11 +521,11 @@ class TerminalProgress:
 
     def _drawn(self) -> Table:
         """Return the bar and its line, with what failed in red and the first reason as far as there is room."""
-        words, reasons = self._count.failed_in_words, self._count.reasons.first.values()
+        words = self._count.failed_in_words
         line = Text(self._line(), no_wrap=True, overflow="ellipsis")
         line.highlight_words([words] if words else [], style="bold red")
-        for _, message in list(reasons)[:1]:
-            line.append(harmless(f"; {short(message)}"), style="red")
+        if first := next(iter(self._count.reasons.first.values()), None):
+            line.append(harmless(f"; {short(first[1])}"), style="red")
         grid = Table.grid(padding=(0, 1))
         grid.add_row(ProgressBar(max(self._work, 1e-9), self._done.cost, width=24), line)
         return grid

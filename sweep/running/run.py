@@ -813,7 +813,8 @@ class Session:
             dataset = writer.write(final=not self._too_many)
         writer.require_whole()
         results = (dataset, writer.failures()) if self._asked is None else self.part()
-        (progress := progress or Silent()).written()
+        progress = progress or Silent()
+        progress.written()
         for sentence in json.loads(results[0].attrs["warnings"])[len(writer.plan.grid.warnings) :]:
             progress.say(f"warning: {sentence}")
         if self._too_many:

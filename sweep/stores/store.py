@@ -403,8 +403,8 @@ def read_root(location: Location) -> dict[str, Any]:
         if path is not None and path.is_dir():
             hint = ": the folder is empty; no run has begun in it, or its files are gone"
         elif path is not None:
-            beside = [one.name for one in path.parent.glob("*.zarr")] or list(map(str, RESULTS.glob("*.zarr")))
-            hint = suggest(path.name, sorted(beside))
+            beside = {one.name for one in path.parent.glob("*.zarr")}
+            hint = suggest(path.name, sorted(beside | {*map(str, RESULTS.glob("*.zarr"))}))
         raise SweepError(f"no store there{hint}", str(location))
     return root
 
