@@ -88,13 +88,15 @@ class Refinement:
         what = "realisation" if "n_sim_done" in self.dataset else "point"
         took = f"{counted(len(self.rounds), 'round')}, {counted(self.spent, what)}"
         said = [f"{took}: {100.0 * self.spent / self.full:.3g} % of the {self.full:,} of a full grid that is as fine."]
+        why = " (--max-realisations allows more)" if what == "realisation" else ""
+        why = " (the axis has whole numbers)" if self.dataset[self.along].dtype.kind == "i" else why
         for at, known in self.known.items():
             enough, is_enough = wanted * ROUNDING, known <= wanted * ROUNDING
             text = next(t for digits in range(2, 18) if (float(t := f"{known:.{digits}g}") <= enough) == is_enough)
-            few = f"Not known{at}: there are too few points, or errors are not known."
+            few = f"Not known{at}: there are too few points, or errors are not known{why}."
             if self.goal["find"]:
-                few = f"Not decided{at}: values are within {laws.SURE:g} errors of the limit, or errors are not known."
-            yet = "" if is_enough else f", not yet to {wanted:g}"
+                few = f"Not decided{at}: values are within {laws.SURE:g} errors of the limit, or errors not known{why}."
+            yet = "" if is_enough else f", not yet to {wanted:g}{why}"
             said.append(f"Known{at} to {text}{yet}." if known < math.inf else few)
         if quantity.shares_random_numbers(self.dataset, [self.along]):
             said.append("Besides there is the Monte-Carlo error, which points with common random numbers share.")

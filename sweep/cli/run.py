@@ -610,6 +610,10 @@ def submit(
     from linksweep.sweep.running.merge import require_free
     from linksweep.sweep.stores.location import Folder, file_named
 
+    for array in re.findall(r"(?m)^(?:--array[=\n]|-a[=\n]?)(.*)", "\n".join(more)):
+        ends = re.split("[-,]", re.sub(":[0-9]+|%[0-9]+$", "", array))
+        if not all(end.isdecimal() and 1 <= int(end) <= tasks for end in ends):
+            raise linksweep.SweepError(f"--sbatch --array={array}: the parts are 1 to {tasks}; others would be lost")
     study, store = asked.load()
     make_grid(study)  # its mistakes are named here, not in a hundred logs
     require_free(store, study, [{"study_digest": study.digest(), "parts": tasks}])

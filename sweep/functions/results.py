@@ -216,6 +216,18 @@ def as_row(outcome: Outcome, expected: Layout) -> Any:
     )
 
 
+def lengths_hint(expected: Layout, other: Layout) -> tuple[str, ...]:
+    """Return how to declare the results whose lengths differ from those of another point, if there are any."""
+    different = {one.name for one in expected.coordinates if len(one.labels) != other.sizes.get(one.name)}
+    outputs = [
+        f"Output({f.name!r}, {f'dims={f.dims}, ragged={dim!r}' if len(f.dims) > 1 else 'ragged=True'})"
+        for f in expected.fields
+        for dim in f.dims
+        if dim in different and f.name not in expected.ragged
+    ]
+    return (f"declare {', '.join(outputs)} where lengths may differ",) if outputs else ()
+
+
 def same_value(one: Any, other: Any) -> bool:
     """Return whether two results are the same; NaN is NaN."""
     first, second = np.asarray(one), np.asarray(other)

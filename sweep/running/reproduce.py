@@ -229,8 +229,11 @@ def place_of(study: Study, at: str, where: str) -> tuple[dict[str, Any], dict[st
     along = dict(zip(grid.dimensions, np.unravel_index(there, grid.shape) if grid.shape else (), strict=True))
     # None may be the value of an axis and where it has no effect
     lacking = wanted.keys() & study.lacking
-    if several := [d for d, places in along.items() if len({*places.tolist()}) > 1 and d not in lacking]:
-        raise SweepError(f"--at: {', '.join(several)} needs a value: there are {len(there):,} such points", where)
+    for dimension in [d for d, places in along.items() if len({*places.tolist()}) > 1 and d not in lacking]:
+        values = dict.fromkeys(study.places.get(dimension) or range(len(grid.rows[dimension])))
+        problems.append(f"--at: {dimension} needs a value, one of {first_of(list(values), MOST_NAMED)}")
+    if problems:
+        raise SweepError(problems, where)
     return grid.point(there[0]).parameters, {dimension: int(places[0]) for dimension, places in along.items()}
 
 

@@ -187,8 +187,12 @@ class Values:
         ``rows``.
         """
         before = len(self.problems.sentences)
-        numbered = enumerate(raw_values, start=1)
-        values = [self.one(place, name, raw, f"row {number}: " if rows else "") for number, raw in numbered]
+        values = []
+        for number, raw in enumerate(raw_values, start=1):
+            values.append(self.one(place, name, raw, f"row {number}: " if rows else ""))
+            if len(self.problems.sentences) >= before + 5:  # of a million values all may be wrong
+                self.problems.add(place, "... and perhaps more values like these")
+                break
         if len(self.problems.sentences) > before:
             return None
         is_any = self.experiment.parameter(name).kind == "any"  # others have numbers of one type

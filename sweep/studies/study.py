@@ -147,11 +147,14 @@ class Condition:
         ``is_declared`` for studies with other values; '' elsewhere.
         """
         there = {name for value in values for name in _names(value)} if self.among else set()
-        lacking = [str(value) for value in self.among or () if there.isdisjoint(_names(value))][:20]
+        lacking = [value for value in self.among or () if there.isdisjoint(_names(value))]
+        named = [value for value in lacking if not str(value).startswith("sha256:")][:20]
         known = list(dict.fromkeys(str(value) for value in values if isinstance(value, str | Named)))[:1000]
-        near = next((f": {shown(one)}{hint}" for one in lacking if (hint := nearest(one, known))), "")
-        is_met = any(map(self.holds, values)) and (is_declared or not near)
-        return "" if is_met else f"no point has such a value of {self.name}{near}"
+        near = [value for value in named if nearest(str(value), known)]
+        if any(map(self.holds, values)) and (is_declared or not near):
+            return ""
+        hints = [f": {shown(value)}{suggest(str(value), known)}" for value in [*near, *named][:1]]
+        return f"no point has such a value of {self.name}{''.join(hints)}"
 
     @cached_property
     def _among(self) -> frozenset[tuple[Value, bool]]:

@@ -167,7 +167,7 @@ def test_designs_are_spread_over_their_ranges_and_larger_ones_begin_alike_where_
 def test_a_design_of_no_power_of_two_and_conditions_of_nothing_are_warned_of(sweep, tmp_path, function, n, k):
     options = ["--design", f"sobol:{n}", "--range", "beta=1:2", "--axis", "k=1,2", "--exclude", f"k={k}"]
     code, out, err = sweep("plan", f"{__file__}:{function}", *options, cwd=tmp_path)
-    warnings = f"points.n = {n} is not a power of two", "exclude: no point has such", "when.k: no point has such"
+    warnings = f"points.n = {n} is not a power of two", "such a value of k: 3\n", "when.k: no point has such"
     assert (code, [words in out + err for words in warnings]) == (0, [n == 100, k == 3, function == "idle"]), err
 
 
