@@ -201,7 +201,8 @@ def test_what_has_no_place_and_no_errors_is_printed_without(tmp_path, sweep_here
     law = fit_power_law(ds, "z", "width").sel(name="rbf")
     assert (law["points"].item(), law["exponent"].item()) == (3.0, pytest.approx(1.0))
     linksweep.run(kernel, tmp_path / "t.zarr", points={"name": ["flat", "rbf"], "width": [1.0, 2.0]}, pool="serial")
-    assert sweep_here("find", tmp_path / "t.zarr", "--where", "z > 50")[1].strip() == "no point meets z > 50"
+    for more, words in ((), "no point meets z > 50\n"), (("--over", "width"), "none, as points differ in name, w"):
+        assert words in "".join(sweep_here("find", tmp_path / "t.zarr", "--where", "z > 50", *more)[1:])
 
 
 @pytest.mark.parametrize("noise", [slow(0.03), 0.1, slow(0.3), 0.5])
