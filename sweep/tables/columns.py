@@ -59,7 +59,7 @@ CORRELATIONS: Mapping[str, str] = {
     f"{_NINE[i]}_{_NINE[j]}_corr": f"{_AT_VIZIER[i]}{_AT_VIZIER[j]}cor" for i, j in ALL_PAIRS
 }
 
-# Of quantities, but positions, and of the errors of all.
+# Units of quantities other than positions, and of the errors of all quantities.
 _UNITS = {
     **dict.fromkeys(("ra", "dec", "parallax", "calibrator"), "mas"),
     **dict.fromkeys(("pmra", "pmdec"), "mas / yr"),

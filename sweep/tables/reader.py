@@ -524,6 +524,8 @@ def write_table(table: Any, path: Path) -> None:
         return
     import pyarrow.parquet
 
+    if odd := [name for name, column in table.columns.items() if column.ndim > 1 or not hasattr(column, "dtype")]:
+        raise ValueError(f"arrays or times in {', '.join(odd)} beside missing values")
     table.convert_bytestring_to_unicode()  # which FITS has
     arrow = pyarrow.Table.from_pandas(table.to_pandas(), preserve_index=False)
     fields = [one.with_metadata({"unit": str(table[one.name].unit or "")}) for one in arrow.schema]

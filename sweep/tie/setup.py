@@ -488,8 +488,8 @@ def _elsewhere(satellite: AstrometricTable, table: AstrometricTable, matched: Ma
 
 
 def _listed(table: AstrometricTable, rows: Indices) -> str:
-    """Return the names of rows, at most five."""
-    return first_of(list(dict.fromkeys(table.labels[rows].tolist())), 5)
+    """Return the names of rows, at most five, or their numbers."""
+    return first_of(list(dict.fromkeys(table.labels[rows].tolist())), 5) if table.names else named_rows(rows)
 
 
 def match_notes(satellite: AstrometricTable, table: AstrometricTable, matched: Match, rows: Astrometry) -> list[str]:

@@ -762,9 +762,8 @@ def with_observations(
     strangers = f"no source {first_of(unknown, 5)}, of which there are observations"
     frame = frame.dropna(subset="place").sort_values(["place", "obs_time_tcb"], kind="stable", ignore_index=True)
     if frame.empty:
-        raise SweepError(
-            strangers if unknown else f"no observation in {where} was used by AGIS and is whole", left.path
-        )
+        unused = f"no observation in {where} was used by AGIS and is whole"
+        raise SweepError(strangers if unknown else unused, left.path)
     rows, star = np.unique(frame["place"].to_numpy(dtype=np.int64), return_inverse=True)
     frame["transit_id"] = frame.groupby(["place", "file", "transit_id"], sort=False).ngroup()
     stars, names = left.astrometry.taken(rows), columns[0]
@@ -838,7 +837,7 @@ def _orbits(place: Mapping[str, int], path: Path, epoch: float, notes: list[str]
     if CAMPBELL in shapes:
         angles = [read.numbers(name) * Unit(table[name].unit or "deg").to("rad") for name in CAMPBELL]
         planes.append(Rotation.from_euler("ZXZ", np.array(angles).T).as_matrix()[:, :2, :2].swapaxes(1, 2))
-    whole = np.isfinite(np.array(planes)).all(axis=(2, 3))
+    whole = np.isfinite(np.array(planes)).all(axis=(2, 3)) & np.any(planes, axis=(2, 3))
     plane = np.where(whole[..., None, None], planes, np.eye(2))
     plane /= np.linalg.norm(plane, ord=2, axis=(2, 3), keepdims=True)  # the largest singular value is the semi-axis
     rows = np.array([place.get(name, -1) for name in read.text(str(star))])

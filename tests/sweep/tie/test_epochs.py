@@ -344,10 +344,10 @@ def test_an_orbit_is_that_of_one_star_and_one_that_is_not_on_the_sky_is_none(tmp
         return linked(tmp_path, sky, orbits=tmp_path / "orbits.csv", accept_misfit=True, **options)
 
     sky.vlbi = drawn(4, ["5"] * 4).vlbi
-    found = link([*one, *angles], [10**17 + 7, 30.0, 0.0, 0.0, *blank])
+    found = link([*one, *angles], [10**17 + 7, 30.0, 0.0, 0.0, *blank], [10**17 + 14, 30.0, *[0.0] * 6, *blank[4:]])
     assert found.path_model.values.tolist() == ["orbit", "5", "5", "5"]
     assert "the likely cause: orbits of the satellite that the other table does not have" in found.attrs["misfit"]
-    assert "orbits.csv: no orbit on the sky, and so none that is used, in row 2" in found.attrs["notes"]
+    assert "orbits.csv: no orbit on the sky, and so none that is used, in row 2, 3" in found.attrs["notes"]
     for rows, options, said in (
         ([[*one, *angles], [*one[:4], *blank[:4], *angles]], {}, "one of several orbits of a star in row 1, 2"),
         ([[*one, 0.0, *angles[1:]]], {}, "elements and angles of two orbits in row 1"),
