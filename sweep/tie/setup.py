@@ -602,35 +602,36 @@ def known_unknowns(options: Options, stars: Astrometry) -> tuple[Unknowns, Array
 def _known_spin(options: Options, stars: Astrometry) -> tuple[Unknowns, Array] | None:
     """Return the block and the values (rad/yr) of a spin that is known: a vector, or a table by bins of a column.
 
-    A table has columns mag_min and mag_max of phot_g_mean_mag, and omega_x, omega_y, omega_z with a unit; its metadata
-    may have ``sign`` and ``release``.  Raises SweepError for anything else, for sources outside its bins, and for those
-    of another release.
+    A table has columns COLUMN_min and COLUMN_max of the satellite's COLUMN, or mag_min and mag_max for phot_g_mean_mag,
+    and omega_x, omega_y, omega_z with a unit; its metadata may have ``sign`` and ``release``.  Raises SweepError for
+    anything else, for sources outside its bins, and for those of another release.
     """
-    spin, sign = options.known_spin, SIGNS[options.sign]
-    if spin is None:
+    if (spin := options.known_spin) is None:
         return None
     if not isinstance(spin, str):
-        return Unknowns((spin_block(),)), sign * np.array(spin) * MAS
+        return Unknowns((spin_block(),)), SIGNS[options.sign] * np.array(spin) * MAS
     table, at = reader.read_table(files.built_in(Path(spin))), releases_at(stars.epoch)
     if (release := table.meta.get("release")) is not None and at != [release]:
         there = " and ".join(at) or "no release"
         raise SweepError(f"spins of {release}, and the satellite's epochs are those of {there}", str(spin))
-    sign = SIGNS[table.meta.get("sign", options.sign)]
-    ends, axes = ("mag_min", "mag_max"), [f"omega_{axis}" for axis in "xyz"]
-    if not {*ends, *axes} <= {*table.colnames} or any(table[name].unit is None for name in axes):
-        needs = f"{', '.join(ends)}, and {', '.join(axes)} with units, uas/yr or mas/yr"
+    if (said := table.meta.get("sign", options.sign)) not in [*SIGNS]:
+        raise SweepError(f"sign {said!r} in its metadata: must be {' or '.join(SIGNS)}", str(spin))
+    names = [name[:-4] for name in table.colnames if name.endswith("_min") and f"{name[:-4]}_max" in table.colnames]
+    axes = [f"omega_{axis}" for axis in "xyz"]
+    if len(names) != 1 or any(name not in table.colnames or table[name].unit is None for name in axes):
+        needs = f"one pair of columns NAME_min, NAME_max, and {', '.join(axes)} with units, uas/yr or mas/yr"
         raise SweepError(f"a table of spins has {needs}; here {', '.join(table.colnames)}", str(spin))
-    table.sort(ends[0])
-    low, high = (np.asarray(table[name], dtype=np.float64) for name in ends)
+    table.sort(f"{names[0]}_min")
+    low, high = (np.asarray(table[f"{names[0]}_{end}"], dtype=np.float64) for end in ("min", "max"))
     if np.any(low[1:] != high[:-1]) or np.any(high <= low):
-        raise SweepError("the bins of magnitude do not follow one another", str(spin))
-    column = "phot_g_mean_mag"
+        raise SweepError(f"the bins of {names[0]} do not follow one another", str(spin))
+    column = {"mag": "phot_g_mean_mag", "G": "phot_g_mean_mag"}.get(names[0], names[0])
     values = stars.columns.get(column, np.full(len(stars), np.nan))
     if np.any(outside := ~((values >= low[0]) & (values < high[-1]))):
         raise SweepError(f"{np.count_nonzero(outside)} matched sources have no {column} in its bins", str(spin))
     vectors = [np.asarray(table[name], dtype=np.float64) * table[name].unit.to("mas/yr") for name in axes]
     block = spin_by_bin(column, tuple(low[1:].tolist()), tuple(range(len(low))))
-    return Unknowns((block,)), sign * np.stack(vectors, axis=1).ravel() * MAS
+    return Unknowns((block,)), SIGNS[said] * np.stack(vectors, axis=1).ravel() * MAS
 
 
 # ---- unknowns

@@ -61,6 +61,9 @@ TYPICAL = (0.005, 300.0)
 # No array of telescopes has errors that differ by more between the coordinates.
 UNEQUAL = 100.0
 
+# Errors of the positions of calibrators, mas.
+CALIBRATORS = (0.005, 50.0)
+
 # Of values, and of the errors of positions.
 UNITS = {name: archives.unit_of(f"{name}_error").replace(" ", "") for name in (*PARAMETERS, *ACCELERATIONS)}
 
@@ -571,6 +574,11 @@ def _calibrators(read: Columns) -> dict[str, Any]:
         return {}
     shared = np.where(names == "", 0.0, read.quantity("calibrator_error", "allowed", MAS))
     read.check(~((shared >= 0.0) & (shared < np.inf)), "a calibrator without an error that is 0 or more")
+    low, high = CALIBRATORS
+    if len(unlikely := np.flatnonzero((shared > 0.0) & ~((shared >= low * MAS) & (shared <= high * MAS)))):
+        unit = "arcsec" if (median := np.median(shared[unlikely]) / MAS) < low else "uas"
+        said = f"calibrator_error of {median:.2g} mas, {core.named_rows(unlikely)}"
+        read.notes.append(f"{said}: is it in {unit}? Say --unit")
     return {"calibrator": names, "shared": shared}
 
 
@@ -770,7 +778,7 @@ def with_observations(
     others = first_of(np.delete(names, rows).tolist(), 5)
     notes += [strangers] * bool(unknown) + [f"no observations of {others}, which keep their rows"] * bool(others)
     of_star = frame.reindex(columns=[*PER_STAR]).groupby(star)
-    changes = {name: names[rows][(of_star[name].nunique(dropna=False) > 1).to_numpy()] for name in PER_STAR}
+    changes = {name: names[rows][(of_star[name].nunique() > 1).to_numpy()] for name in PER_STAR}
     if problems := [f"{name} changes within {first_of([*at], 5)}" for name, at in changes.items() if len(at)]:
         raise SweepError(problems, where)
     *origin, _ = of_star.first().to_numpy().T

@@ -223,7 +223,7 @@ def test_a_study_has_what_the_command_has_with_each_option(here, case):
     hip.remove_column("ref_epoch")
     hip.rename_column("parallax", "plx")
     hip.write("hip.ecsv")
-    spins = {"mag_min": [0.0, 8.0], "mag_max": [8.0, 20.0]} | {f"omega_{axis}": [0.1, 0.2] for axis in "xyz"}
+    spins = {"ra_min": [0.0, 200.0], "ra_max": [200.0, 360.0]} | {f"omega_{axis}": [0.1, 0.2] for axis in "xyz"}
     Table(spins, units=dict.fromkeys(("omega_x", "omega_y", "omega_z"), "mas/yr")).write("spin.ecsv")
     in_study, in_python = CASES[case]
     results = written(here, satellite="satellite.ecsv", reference="reference.ecsv", **in_study)
