@@ -679,7 +679,10 @@ def draw_map(axes: Axes, dataset: xr.Dataset, variable: str, x: str, y: str, lim
             artist.set_path_effects([patheffects.withStroke(linewidth=2.2, foreground="0.15")])
     for axis, which, name in ((axes.xaxis, "x", x), (axes.yaxis, "y", y)):
         style.fit_scale(axes, which, dataset[name])
-        if dataset[name].dtype.kind == "i" and not style.is_logarithmic(dataset[name]):
+        if dataset[name].size <= 3:  # ticks at these alone
+            axis.set_ticks(dataset[name].values, formatting.plain(dataset[name].values.tolist()))
+            axis.set_minor_locator(ticker.NullLocator())
+        elif dataset[name].dtype.kind == "i" and not style.is_logarithmic(dataset[name]):
             axis.set_major_locator(ticker.MaxNLocator(integer=True))
     axes.set(xlabel=style.explained_label(dataset[x], x), ylabel=style.explained_label(dataset[y], y))
 
