@@ -404,7 +404,8 @@ class Columns:
         good = (minutes < 60.0) & (seconds <= 60.0) & ~(in_hours & (not right_ascension or first >= HOURS))
         if (bad := there & ~good.to_numpy()).any():
             rows, words = rows_listed(bad, [repr(text) for text in texts]), "hours" if hours else "degrees"
-            raise ValueError(f"column {name!r} is text that is no angle in {words} like 12:34:56.7 in row {rows}")
+            hint = "; is it in degrees? Say it: units ra = deg" * bool(hours and not form and first[bad].notna().any())
+            raise ValueError(f"column {name!r} is text that is no angle in {words} like 12:34:56.7 in row {rows}{hint}")
         values = (first + minutes / 60.0 + seconds / 3600.0) * np.where(in_hours, 15.0, 1.0)
         return np.asarray(values.where(~parts["sign"].isin(["-", "\u2212"]), -values).where(there), dtype=np.float64)
 
@@ -552,7 +553,8 @@ def _parsed(condition: str) -> ast.expr:
             tree = ast.parse(text, mode="eval").body
     except SyntaxError as error:
         rest = text[error.offset - 1 :] if error.offset else ""  # it has no offset at the end
-        raise ValueError(f"{error.msg} at {rest!r}" if rest else f"{error.msg} at the end") from None
+        at = f" at {rest!r}" if rest else " at the end"
+        raise ValueError(f"{error.msg}{at if rest in condition else ''}") from None  # else it is not as it was written
     for node in ast.walk(tree):
         if isinstance(node, ast.Name):
             node.id = quoted.get(node.id, node.id)

@@ -175,8 +175,10 @@ def _votable(content: bytes) -> Any:
     with _readable_as("as a VOTable"):
         document = parse(io.BytesIO(content), verify="ignore")
         tables = [table for table in document.iter_tables() if len(table.fields)]
-    if not tables:
-        raise SweepError("has no table in it, but perhaps what a service says of a failed query")
+    if not tables:  # a service says there why a query failed
+        infos = [info for resource in document.resources for info in resource.infos if info.name == "QUERY_STATUS"]
+        said = "".join(f": {info.value}: {' '.join((info.content or '').split())[:200]}" for info in infos)
+        raise SweepError(f"has no table in it{said}")
     _require_one([f"{table.name or table.ID or 'table'} ({k})" for k, table in enumerate(tables, 1)])
     return tables[0].to_table(use_names_over_ids=True)
 
