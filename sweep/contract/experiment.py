@@ -435,7 +435,7 @@ class Parameter:
         raise self._refused(raw)
 
     def _refused(self, raw: object, more: str = "") -> ValueError:
-        if self.kind in ("float", "int") and isinstance(raw, str) and re.search(r"\d\s*[:;-]", raw):
+        if self.kind in ("float", "int") and isinstance(raw, str) and re.search(r"\d\s*[:;]|^\d+-\d+$", raw):
             more = "; several are 1,2,3; a range is START:STOP:STEP, or START:STOP:log5 for five values"
         more = more or bound_in_words(raw)
         label = "; beyond that under a label, {'label': value}" if more and self.takes_objects else ""

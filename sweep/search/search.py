@@ -653,12 +653,13 @@ def galaxy_table(columns: pd.DataFrame) -> str:
         tyc1, tyc2, tyc3, pgc = numbers
         for (field, (place, largest)), value in zip(LARGEST.items(), numbers, strict=True):
             if not 1 <= value <= largest:
-                star = f"TYC {tyc1}-{tyc2}-{tyc3}"
-                problems.append(f"{star}: {field} = {value} does not fit bytes {place}, from 1 to {largest}")
+                said = f": {field} = {value} does not fit bytes {place}, from 1 to {largest}"
+                problems.append(f"TYC {tyc1}-{tyc2}-{tyc3}{said if value or field != 'PGC' else ' has no PGC number'}")
         wrapped = 0.0 if f"{ra:.8f}" == "360.00000000" else ra
         lines.append(f"{tyc1:4d} {tyc2:5d} {tyc3:1d} {pgc:5d} {wrapped:12.8f} {dec:12.8f} {LETTERS[name]}\n")
     if problems:
-        raise SweepError(first_of(problems, PROBLEMS_NAMED, "; "))
+        more = len(problems) - PROBLEMS_NAMED
+        raise SweepError([*problems[:PROBLEMS_NAMED], *[f"and {more:,} more"] * (more > 0)])
     return "".join(lines)
 
 
