@@ -343,9 +343,8 @@ def require_mission_name(name: str) -> None:
     """Raise ValueError for a name of a mission that cannot stand before unknowns."""
     known = {one.removesuffix(":L") for one in KNOWN} | {"satellite", "reference"}
     if not (name.isascii() and name.replace("-", "_").isidentifier()) or name in known:
-        raise ValueError(
-            f"mission {name!r}: a name is letters, digits (not first), _, -; no side, none of the unknowns"
-        )
+        others = "no side, none of the unknowns"
+        raise ValueError(f"mission {name!r}: a name is letters, digits (not first), _, -; {others}")
 
 
 def _blocks(names: Sequence[str], bins: Bins | None, columns: Mapping[str, Array]) -> list[Block]:

@@ -165,7 +165,7 @@ class Grid:
                 gone = self.study.missing(parameters)
                 is_there = all((parameters[name] is NO_EFFECT) == (name in gone) for name in self._lacking)
                 parameters.update(dict.fromkeys(gone))
-            yield parameters, gone, is_there and not (self.study.excluded and self.excludes(parameters))
+            yield parameters, gone, is_there and not (self.study.excluded and self.excludes(parameters, gone))
 
     def idle(self, indices: NDArray[np.intp]) -> set[str]:
         """Return the parameters that have no effect at any of the points at ``indices``."""
@@ -233,9 +233,11 @@ class Grid:
         """Return a key that is equal for two points of this grid exactly if they share their random numbers."""
         return tuple(parameters[name] for name in self._names if name not in self._shared)
 
-    def excludes(self, parameters: Mapping[str, Any]) -> bool:
-        """Return whether the study leaves out a point with these parameters."""
-        gone = self.study.missing(parameters)
+    def excludes(self, parameters: Mapping[str, Any], gone: Collection[str] | None = None) -> bool:
+        """Return whether the study leaves out a point with these parameters, of which some have no effect (``gone``) if
+        that is known already.
+        """
+        gone = self.study.missing(parameters) if gone is None else gone
         return any(are_met(clause, parameters, gone) for clause in self.study.excluded)
 
 

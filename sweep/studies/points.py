@@ -34,7 +34,7 @@ from linksweep.sweep.contract.experiment import (
     rescaled,
     same_unit,
 )
-from linksweep.sweep.formatting import first_of
+from linksweep.sweep.formatting import first_of, is_missing
 from linksweep.sweep.functions.results import unit_of
 from linksweep.sweep.studies.study import POINT, Form, PointsForm, PointTable, Sampling, number_at
 from linksweep.sweep.tables.columns import content_digest, rows_listed, table_file
@@ -578,9 +578,9 @@ def _apart(columns: Cells, form: PointsForm, values: Values) -> tuple[Cells, dic
     return {name: columns[name] for name in columns if name in parameters}, labels
 
 
-def is_missing(cell: object) -> bool:
+def is_empty(cell: object) -> bool:
     """Return whether there is no value in a cell."""
-    return cell is None or cell is np.ma.masked or (isinstance(cell, float) and math.isnan(cell))
+    return cell is None or cell is np.ma.masked or is_missing(cell)
 
 
 def labels_of(cells: Sequence[Any]) -> list[Any]:
@@ -591,7 +591,7 @@ def labels_of(cells: Sequence[Any]) -> list[Any]:
     >>> labels_of([4472832130942575872, 7]), labels_of(["Sirius", 7, None])
     ([4472832130942575872, 7], ['Sirius', '7', ''])
     """
-    cells = [cell.decode() if isinstance(cell, bytes) else None if is_missing(cell) else cell for cell in cells]
+    cells = [cell.decode() if isinstance(cell, bytes) else None if is_empty(cell) else cell for cell in cells]
     kinds = {type(cell) for cell in cells}
     exact = all(type(cell) is not int or abs(cell) <= 2**53 for cell in cells)
     if exact and float in kinds <= {float, int, type(None)}:
@@ -665,7 +665,7 @@ def columns_of(table: Mapping[str, Any]) -> tuple[dict[str, list[Any]], dict[str
         numbers, mask = getattr(column, "unmasked", column), getattr(column, "mask", False)
         cells = np.ma.masked_array(numbers.value, mask) if is_quantity(column) else column
         some = np.atleast_1d(np.ma.asarray(cells)).tolist()
-        some = [None if is_missing(cell) else cell for cell in some] if hasattr(table, "colnames") else some
+        some = [None if is_empty(cell) else cell for cell in some] if hasattr(table, "colnames") else some
         columns[str(name)] = [cell.decode() if isinstance(cell, bytes) else cell for cell in some]
     return columns, units
 
