@@ -186,6 +186,7 @@ def test_maps_of_truth_values_have_two_colours(tmp_path):
     panel, bar = linksweep.plot(ds, "map").axes
     assert panel.collections[0].get_array().tolist() == ds["result"].values.T.astype(float).tolist()
     assert [text.get_text() for text in bar.get_yticklabels()] == ["False", "True"]
+    assert [text.get_text() for text in panel.get_yticklabels()] == ["0", "2", "3"]  # those of a short axis alone
 
 
 def test_a_series_over_days_is_a_line_over_days(tmp_path):

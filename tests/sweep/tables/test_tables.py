@@ -113,6 +113,7 @@ DELIMITED = [
     ("#ra;dec;id\n#(deg);(deg);\n10.5;20;1\n200;-3;2\n", ["ra", "dec", "id"]),  # as psrcat writes it
     ("# ra dec id\n# deg deg -\n10.5 20 1\n200 -3 2\n", ["ra", "dec", "id"]),
 ]
+FAILED = "<INFO name='QUERY_STATUS' value='ERROR'>no table gaiadr9</INFO>"
 NO_TABLES = [
     *((b"", "has no rows"), ("10,20\n30,40\n", "its first line, '10,20', is not one of column names")),
     *(("ra,dec,ra\n1,2,3\n", "two columns are called 'ra'"), ("ra,dec\n1,2\n3\n", "row 2 has 1 columns, not 2")),
@@ -121,6 +122,7 @@ NO_TABLES = [
     (b"\x1f\x8b\x08\x00bad", "is compressed, but incomplete"),
     ("<!DOCTYPE html><html><body>404</body></html>", "is a web page"),
     ("<VOTABLE version='1.3'><RESOURCE/></VOTABLE>", "has no table in it"),
+    (f"<VOTABLE version='1.3'><RESOURCE>{FAILED}</RESOURCE></VOTABLE>", "has no table in it: ERROR: no table gaiadr9"),
     (b"PAR1nonsense", "cannot be read as Parquet"),
 ]
 

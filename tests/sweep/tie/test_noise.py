@@ -163,6 +163,8 @@ def test_rows_that_share_a_calibrator_share_its_error_also_in_draws(tmp_path, se
     np.testing.assert_allclose(link.estimate, inverse @ both.T @ weights @ y, rtol=1e-4, atol=1e-5)
     np.testing.assert_allclose(link.covariances.sel(error_kind="formal"), inverse[:, :6], rtol=1e-4, atol=1e-7)
     assert linked(tables, jitter="estimate").noise.size
+    small = linked(tables, units=["reference:calibrator_error=uas"], accept_misfit=True)
+    assert any("row" in note and "is it in arcsec? Say --unit" in note for note in small.attrs["notes"])
     problem = set_up(tables.satellite, tables.reference, Options("orientation,spin", positions="mean")).problem
     expected = solve(source_sums(problem)).covariance
     draws = Simulation(problem, np.zeros(6)).draws(600, np.random.default_rng(1))

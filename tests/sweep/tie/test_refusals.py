@@ -53,6 +53,8 @@ REFUSED = [
     ("no column 'ecl_lat'", DR3 | {"ecl_lat": None}, {}, SHIFTED),
     ("spins of dr3, and the satellite's epochs are those of dr4", DR4, {}, {"known_spin": "edr3-spin"}),
     ("omega_x, omega_y, omega_z with units", {}, {}, {"known_spin": {"mag_min": [0.0], "mag_max": [30.0]} | SPIN}),
+    ("Say it: units ra = deg", {}, {"ra": ["225:30:01.5"] * N, "ra_error": Column(at(0, 0), unit="mas")}, {}),
+    ("mission 'satellite': .* no side", {}, {}, {"missions": {"satellite": "r.csv"}}),
     (r"known_orientation = .* three finite numbers", {}, {}, {"known_orientation": [1.0, 2.0]}),
     *(("sign = 'minus'", {}, {}, {"sign": "minus"}), ("no option degrees", {}, {}, {"degrees": 3})),
     ("workers are for Parquet tables of 100,000 quasars", {}, {}, {"workers": 2}),

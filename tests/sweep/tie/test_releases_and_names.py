@@ -194,10 +194,16 @@ def test_the_published_spin_of_bright_stars_is_subtracted_and_chi2_says_whether_
     Table(wrong).write(tmp_path / "wrong.ecsv")
     spins["omega_x"].convert_unit_to("mas/yr")
     spins.write(tmp_path / "spins.ecsv")
+    spins.rename_columns(["mag_min", "mag_max"], ["phot_g_mean_mag_min", "phot_g_mean_mag_max"])
+    spins.write(tmp_path / "column.ecsv")
+    spins.meta["sign"] = "foo"
+    spins.write(tmp_path / "unsigned.ecsv")
+    with pytest.raises(linksweep.SweepError, match="sign 'foo' in its metadata: must be"):
+        linksweep.tie(*tables, "spin", known_spin=tmp_path / "unsigned.ecsv")
     as_it_is = linksweep.tie(*tables, "spin", bins=bins)
     np.testing.assert_allclose(as_it_is.spin_by_bin[0], [-0.0184, -0.0338, 0.0113], atol=1e-6)
     for sign in ("reference-satellite", "satellite-reference"):
-        for known in ("edr3-spin", tmp_path / "spins.ecsv"):
+        for known in ("edr3-spin", tmp_path / "spins.ecsv", tmp_path / "column.ecsv"):
             link = linksweep.tie(*tables, "spin", bins=bins, known_spin=known, sign=sign)
             np.testing.assert_allclose(link.estimate, 0.0, atol=1e-6)
     for known in ("spins", "wrong"):
