@@ -16,10 +16,12 @@ from numpy.typing import NDArray
 from linksweep.sweep.contract import FEW, FEWEST_SAMPLES, Array, Status, SweepError, shown, small_sample_factor, suggest
 from linksweep.sweep.contract.rows import LENGTH, count_status, unfinished_in_words
 from linksweep.sweep.formatting import ERRORS, RAGGED, first_of, is_missing, is_truth, meant, plain, prefixed, units_of
-from linksweep.sweep.stores.store import RUNNING, finished
+from linksweep.sweep.planning.grid import Grid, GridPoint
+from linksweep.sweep.stores.location import Where
+from linksweep.sweep.stores.store import RUNNING, finished, open_dataset
 from linksweep.sweep.studies.points import labelled
 from linksweep.sweep.studies.record import FUNCTION, outer_draw_of
-from linksweep.sweep.studies.study import LOST, POINT, POINT_TABLE, Claim
+from linksweep.sweep.studies.study import LOST, POINT, POINT_TABLE, Claim, Study
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -417,6 +419,28 @@ def select(dataset: xr.Dataset, places: Mapping[str, Any]) -> xr.Dataset:
     return dataset.isel(part)
 
 
+def point_at(store: Where, study: Study, places: Mapping[str, str]) -> GridPoint:
+    """Return the point of the study of a store at values of axes, as `select` takes them; raises SweepError unless that
+    is one point, which several rows of a table may be.
+    """
+    grid, dataset = Grid(study), open_dataset(store)
+    number = np.arange(len(grid)).reshape(grid.shape)
+    try:
+        part = select(dataset[["status"]].assign(number=(tuple(grid.dimensions), number)), places)
+    except OutsideGridError as error:
+        raise SweepError(error.problems, str(store)) from error
+    dimensions = part["number"].dims
+    there = part["status"].transpose(*dimensions).values != Status.EXCLUDED
+    points = {point.digest: point for point in grid.points(part["number"].values[there])}
+    if not points:
+        raise SweepError(f"{', '.join(f'{n} = {v}' for n, v in places.items())}: the study excludes that", str(store))
+    if len(points) > 1:
+        several = [str(d) for d, along in zip(dimensions, there.nonzero(), strict=True) if len({*along}) > 1]
+        choices = {name: first_of(plain(listed(part, name, [name])), FEW) for name in several}
+        raise SweepError([f"--at: {name} needs a value, one of {some}" for name, some in choices.items()], str(store))
+    return points.popitem()[1]
+
+
 class OutsideGridError(SweepError):
     """A place or a result that a dataset does not have."""
 
@@ -439,6 +463,8 @@ def indices(dataset: xr.Dataset, places: Mapping[str, Any]) -> dict[str, list[in
         values = listed(dataset, name, [dimension])
         exact = list(dataset[name].values) if dataset[name].dtype.kind == "M" else values
         hits = {i for i, value in enumerate(exact) if _is_meant(value, wanted)} or meant(values, wanted)
+        if not hits and str(wanted).lower() == "none":  # as a text says that a parameter has no effect
+            hits = {i for i, value in enumerate(values) if value == ""}
         if not hits and not isinstance(wanted, str):
             with suppress(ValueError):  # an axis with objects has their labels; some objects can have none
                 label = labelled(wanted).name

@@ -511,14 +511,18 @@ def reproduce(
     sweep reproduce results/quasars.zarr --at model=gaia,v_max=16
     sweep reproduce results/quasars.zarr --points 20
     """
+    from linksweep.sweep.analysis.quantity import point_at
     from linksweep.sweep.running import reproduce as computing
+    from linksweep.sweep.studies.reader import parse_places
 
     if at is None:
         if debug or as_json:
             raise click.UsageError(f"{'--pdb' if debug else '--json'} is for one point; name it with --at")
         sys.exit(cli.EXIT_FAILED_POINTS if print_verified(computing.study_of(store, trust=trust), store, points) else 0)
     try:
-        again = computing.reproduce(store, at, trust=trust)
+        study = computing.study_of(store, trust=trust)
+        point = point_at(store, study, parse_places([at] if at.strip() else []))
+        again = computing.reproduce(store, study, point)
     except linksweep.SweepError:
         raise
     except Exception as error:

@@ -5,7 +5,6 @@ it, where the dataset lacks what it shows.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,12 +21,13 @@ from linksweep.core.frames import DEGREE, GALACTIC_AXES, Array, galactic, positi
 from linksweep.core.setup import scenario
 from linksweep.core.tie.problem import LARGE_SHARE
 from linksweep.sweep import formatting
+from linksweep.sweep.analysis.quantity import point_at
 from linksweep.sweep.contract import Named, SweepError, shown, suggest
-from linksweep.sweep.planning.grid import Grid
 from linksweep.sweep.planning.plan import generators
 from linksweep.sweep.plots import style
-from linksweep.sweep.running.reproduce import place_of, study_to_look_at
+from linksweep.sweep.running.reproduce import study_to_look_at
 from linksweep.sweep.stores.location import Where
+from linksweep.sweep.studies.reader import parse_places
 from linksweep.sweep.studies.study import Study
 from linksweep.sweep.tables.columns import table_file
 
@@ -139,12 +139,9 @@ def catalogue_of_point(store: Where, at: Sequence[str]) -> xr.Dataset:
     Raises SweepError if the store is not of the link, or ``at`` is not one point of it.
     """
     study = study_to_look_at(store)
-    parameters, _ = place_of(study, ",".join(at), str(store))
-    changed = {name: value for name, value in parameters.items() if value != study.experiment.defaults()[name]}
-    alone = replace(study, axes={}, zipped=(), points=None, excluded=(), fixed=changed, published=None)
-    (point,) = Grid(replace(alone, claims=(), conclusion=None)).points()
+    point = point_at(store, study, parse_places(at))
     _, rng = generators(study.sampling.seed, point.stream, 0, 0)
-    catalogue = scenario(parameters).draw_catalogue(rng)
+    catalogue = scenario(point.parameters).draw_catalogue(rng)
     title = f"{study.title}: the {len(catalogue)} objects of one catalogue"
     sky = _sky(catalogue.ra / DEGREE, catalogue.dec / DEGREE, ", ".join([title, *at]))
     return sky.assign(v_mag=("object", catalogue.v_mag, MAGNITUDE))

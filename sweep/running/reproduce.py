@@ -14,20 +14,17 @@ import xarray as xr
 from threadpoolctl import threadpool_limits
 
 from linksweep.sweep.code import Code, file_of, load_experiment
-from linksweep.sweep.contract import ResultError, Status, SweepError, shown, suggest
+from linksweep.sweep.contract import ResultError, Status, SweepError
 from linksweep.sweep.executing.executor import Children
 from linksweep.sweep.executing.task import Task, TaskResult
 from linksweep.sweep.executing.worker import compute
-from linksweep.sweep.formatting import first_of, meant, plain
 from linksweep.sweep.planning.grid import Grid, GridPoint, describe
 from linksweep.sweep.running.run import Session, differences_of_code, records_of
 from linksweep.sweep.stores.location import Folder, Where, located
 from linksweep.sweep.stores.store import OpenStore, was_written_here
-from linksweep.sweep.studies.reader import parse_places, parse_value, study_of_attributes
+from linksweep.sweep.studies.reader import study_of_attributes
 from linksweep.sweep.studies.record import Recorded, as_recorded
-from linksweep.sweep.studies.study import DEFAULT_EXPERIMENT, POINT, Study, is_other
-
-MOST_NAMED = 10
+from linksweep.sweep.studies.study import DEFAULT_EXPERIMENT, Study, is_other
 
 # Points that differ and are computed twice more, each time in a process of their own, to find the cause.
 MOST_EXPLAINED = 3
@@ -106,24 +103,19 @@ class Verified:
     other_code: list[str]
 
 
-def reproduce(store: Where, at: str, *, trust: bool = False) -> Reproduction:
-    """Compute the point at ``NAME=VALUE,...`` again, serially, in this process.
-
-    Raises SweepError where that is not one point of the store, as `study_of`, and whatever the experiment raises.
-    """
+def reproduce(store: Where, study: Study, point: GridPoint) -> Reproduction:
+    """Compute a point of the study of a store again, serially, in this process; raises what the experiment raises."""
     opened = OpenStore(store)
-    study = study_of(opened, trust=trust)
-    place, indices = place_of(study, at, str(store))
 
     def raising(task: Task) -> TaskResult:  # nothing is caught or captured, for the debugger
         result: TaskResult = compute(replace(task, caught=False, repeatable=False))
         return result
 
     with threadpool_limits(1):  # as everywhere, since the last bits depend on it
-        result, failures = _alone(as_recorded(study, opened.attributes), place, raising)
+        result, failures = _alone(as_recorded(study, opened.attributes), point.parameters, raising)
     for message in failures.values():
         raise ResultError(message)
-    stored = opened.dataset().isel(indices)
+    stored = _at(opened.dataset(), Grid(study), point)
     status = Status(int(stored["status"]))
     differences = None
     if status == Status.DONE:
@@ -131,7 +123,12 @@ def reproduce(store: Where, at: str, *, trust: bool = False) -> Reproduction:
         pairs = {name: (one[name].values, other[name].values) for name in map(str, other) if name in one}
         differences = {name: pair for name, pair in pairs.items() if not _equal(*pair)}
     other_code = differences_of_code(records_of(opened.attributes), study)
-    return Reproduction(describe(study, place), result, status.word, differences, other_code)
+    return Reproduction(describe(study, point.parameters), result, status.word, differences, other_code)
+
+
+def _at(dataset: xr.Dataset, grid: Grid, point: GridPoint) -> xr.Dataset:
+    places = np.unravel_index(point.index, grid.shape) if grid.shape else ()
+    return dataset.isel(dict(zip(grid.dimensions, map(int, places), strict=True)))
 
 
 def verify(study: Study, where: Where, number: int) -> Verified:
@@ -160,8 +157,7 @@ def verify(study: Study, where: Where, number: int) -> Verified:
     differing: list[str] = []
     forward, backward = computed(chosen), computed(chosen[::-1])
     for point in chosen:
-        places = np.unravel_index(point.index, grid.shape) if grid.shape else ()
-        stored = dataset.isel(dict(zip(grid.dimensions, map(int, places), strict=True)))
+        stored = _at(dataset, grid, point)
         seen = forward[point.index], backward[point.index]
         if all(_same(stored, other, tolerance) for other in seen):
             continue
@@ -208,57 +204,3 @@ def _same(one: xr.Dataset | str, other: xr.Dataset | str, tolerance: float) -> b
         return isinstance(one, str) and isinstance(other, str) and one == other
     one, other = xr.align(one, other, join="inner")  # the dataset of one has the longest of others: their lengths tell
     return all(_equal(one[name].values, other[name].values, tolerance) for name in other if name in one)
-
-
-def place_of(study: Study, at: str, where: str) -> tuple[dict[str, Any], dict[str, int]]:
-    """Return a point's parameters and place from ``NAME=VALUE,...``; raises SweepError that says what is wrong."""
-    problems: list[str] = []
-    wanted: dict[str, Any] = {}
-    texts = parse_places([at] if at.strip() else [])
-    for name, text in texts.items():
-        try:
-            wanted |= _on_axis(study, name, text)
-        except ValueError as error:
-            problems.append(f"--at {error}")
-    if problems:
-        raise SweepError(problems, where)
-    grid = Grid(study)
-    there = [i for i, point in grid.parameters() if not any(is_other(wanted[name], point[name]) for name in wanted)]
-    if not there:
-        raise SweepError(f"--at {shown(at)}: the study has no point with these values", where)
-    along = dict(zip(grid.dimensions, np.unravel_index(there, grid.shape) if grid.shape else (), strict=True))
-    # None may be the value of an axis and where it has no effect
-    lacking = wanted.keys() & study.lacking
-    for dimension in [d for d, places in along.items() if len({*places.tolist()}) > 1 and d not in lacking]:
-        values = dict.fromkeys(study.places.get(dimension) or range(len(grid.rows[dimension])))
-        problems.append(f"--at: {dimension} needs a value, one of {first_of(list(values), MOST_NAMED)}")
-    if problems:
-        raise SweepError(problems, where)
-    return grid.point(there[0]).parameters, {dimension: int(places[0]) for dimension, places in along.items()}
-
-
-def _on_axis(study: Study, name: str, text: str) -> dict[str, Any]:
-    """Return the value on an axis that a text names, or those of a row, by number or label; raises ValueError."""
-    if study.points is not None and name in (POINT, *study.points.labels):
-        rows = [*zip(*(study.axes[axis] for axis in study.points.names), strict=True)]
-        cells = study.points.labels.get(name, range(len(rows)))
-        value = parse_value(text, is_text=isinstance(cells[0], str))
-        named = {row: number for number, row in enumerate(rows) if not is_other(cells[number], value)}
-        if len(named) != 1:
-            why = f"is none of {first_of(plain(list(dict.fromkeys(cells))), MOST_NAMED)}"
-            if named:
-                numbers = first_of(list(named.values()), MOST_NAMED)
-                why = f"is {len(named)} points; name one by {POINT}, such as {numbers}"
-            raise ValueError(f"{name} = {shown(text)}: {why}")
-        return dict(zip(study.points.names, *named, strict=True))
-    if name not in study.axes:
-        raise ValueError(f"{name}: is not an axis{suggest(name, list(study.axes))}")
-    parameter = study.experiment.parameter(name)
-    axis = list(dict.fromkeys([*study.axes[name], *[None] * (name in study.partial)]))
-    is_none = text == "None" and None in axis and text not in axis
-    value = None if is_none else parameter.parse(parse_value(text, is_text=parameter.kind == "str"))
-    if all(is_other(value, one) for one in axis):
-        if not (hits := meant(axis, value)):
-            raise ValueError(f"{name} = {shown(value)}: not on the axis, which has {first_of(plain(axis), MOST_NAMED)}")
-        value = axis[min(hits)]
-    return {name: value}

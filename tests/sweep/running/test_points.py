@@ -119,7 +119,10 @@ def test_the_command_line_runs_grows_fails_retries_and_reproduces_points(tmp_pat
     (tmp_path / "t.csv").unlink()
     for at in ("point=3", "x=2.0", "x=0.5,k=2"):
         assert sweep("reproduce", "s.zarr", "--at", at, cwd=tmp_path)[::2] == (0, "every bit as in s.zarr\n")
-    assert "is none of 0, 1, 2, 3" in sweep("reproduce", "s.zarr", "--at", "point=4", cwd=tmp_path, code=2)[2]
+    assert (
+        "point = 4 is not in the grid, which has 0, 1, 2, 3"
+        in sweep("reproduce", "s.zarr", "--at", "point=4", cwd=tmp_path, code=2)[2]
+    )
     (tmp_path / "model.py").write_text(FILE.replace("k == 3", "k == 300"))
     asked("run", "--retry", "s.zarr", code=2)
     told, _ = asked("run", "--retry", "s.zarr", "--accept-code")

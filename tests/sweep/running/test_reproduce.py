@@ -8,11 +8,13 @@ from pathlib import Path
 
 import pytest
 
+import linksweep
+from linksweep.sweep.analysis.quantity import point_at
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.executor import Children
 from linksweep.sweep.formatting import without_secrets
 from linksweep.sweep.running import reproduce
-from linksweep.sweep.studies.reader import live_study
+from linksweep.sweep.studies.reader import live_study, parse_places
 from tests.sweep.opening import OpenStore, same
 from tests.tiers import slow
 
@@ -110,12 +112,13 @@ def everything_in(folder):
 
 
 @pytest.mark.parametrize("table", [{"points": TABLE}, {"axes": ZIPPED, "grid": {"zip": [["a", "b"]]}}])
-def test_a_row_is_a_place_also_where_one_of_its_values_has_no_effect(table):
-    study = live_study({"experiment": lambda a=0.0, b=0.0: a + b, "when": {"b": {"a": [1.0]}}, **table})
+def test_a_row_is_a_place_also_where_one_of_its_values_has_no_effect(table, tmp_path):
+    study = live_study({"experiment": lambda a=0.0, b=0.0: a + (b or 0.0), "when": {"b": {"a": [1.0]}}, **table})
+    linksweep.run(study, store := tmp_path / "s.zarr", pool="serial")
     places = {"a=0,b=None": None, "a=1,b=6": 6.0} | ({"point=0": None, "point=2": None} if "points" in table else {})
-    assert {at: reproduce.place_of(study, at, "")[0]["b"] for at in places} == places
-    with pytest.raises(SweepError, match=r"no point with these values|not on the axis"):
-        reproduce.place_of(study, "a=0,b=5", "")
+    assert {at: point_at(store, study, parse_places([at])).parameters["b"] for at in places} == places
+    with pytest.raises(SweepError, match=r"b = 5 is not in the grid"):
+        point_at(store, study, parse_places(["a=0,b=5"]))
 
 
 @pytest.mark.parametrize("name", ["script.py", slow("sweep"), slow("sweep.py")])
