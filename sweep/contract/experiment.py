@@ -360,9 +360,7 @@ class Parameter:
 
     def written_default(self) -> Any:
         """Return the default as a study file writes it, which has no objects."""
-        if isinstance(self.default, tuple):
-            return dict(self.default) if self.kind in ("map", "files") else list(self.default)
-        default = None if isinstance(self.default, Named) else self.default
+        default = None if isinstance(self.default, Named) else self.written(self.default)
         return default.item() if isinstance(default, np.generic) else default
 
     def parse(self, raw: object) -> Value:
@@ -409,11 +407,14 @@ class Parameter:
         raise self._refused(raw)
 
     def written(self, value: Value) -> Any:
-        """Return a value, or those of an axis, as the study of a store has it: in place of an object its label."""
-        if isinstance(value, tuple) and self.may_be_axis:
-            return [self.written(one) for one in value]
+        """Return a value, or those of an axis, as the study of a store has it: the label of an object, the path of a
+        table.
+        """
+        if isinstance(value, tuple):
+            is_table = self.kind in ("map", "files")
+            return {key: self.written(one) for key, one in value} if is_table else [*map(self.written, value)]
         if not isinstance(value, Named):
-            return value
+            return getattr(value, "path", value)  # of a table
         is_list = isinstance(value.value, list) and all(type(one) in (bool, int, float, str) for one in value.value)
         is_itself = is_list or (not _is_finite(value.value) and value.name == repr(value.value))
         return value.name if self.kind == "str" else value.value if is_itself else {LABEL: value.name}

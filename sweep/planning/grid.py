@@ -315,7 +315,7 @@ def make_grid(study: Study) -> Grid:
     if sentences:
         raise SweepError(sentences, study.source)
     values = {name: (value,) for name, value in study.experiment.defaults().items()} | values
-    asked = study.document.get("when", {})
+    asked = study.sections.get("when", {})
     clauses = [("exclude", clause, False) for clause in study.excluded]
     clauses += [(f"when.{n}", some, n not in asked) for n, some in study.when.items() if n in {**study.axes, **asked}]
     for where, clause, is_declared in clauses:

@@ -17,7 +17,7 @@ from linksweep.sweep.contract import Experiment, Named, Parameter, Point, SweepE
 from linksweep.sweep.formatting import counted
 from linksweep.sweep.planning.grid import MAX_POINTS, NO_EFFECT, Grid, GridPoint, all_but
 from linksweep.sweep.studies.points import MAX_VALUES, Values, labels_of, numbers_like, require_distinct
-from linksweep.sweep.studies.study import POINT, PointTable, Sampling, Study
+from linksweep.sweep.studies.study import POINT, Conclusion, PointTable, Sampling, Study
 from linksweep.sweep.tables.columns import sorted_json
 
 # A grid of more points than this becomes a table where fewer than one in so many of its points are there, or where so
@@ -36,24 +36,14 @@ Rows = dict[tuple[str, ...], list[Row]]
 
 def with_numbers_of(stored: Study, asked: Study) -> Study:
     """Return a study in which numbers that equal those of a store have their types: equal numbers are one point."""
-    defaults, document = stored.experiment.defaults(), dict(asked.document)
-    axes, fixed = dict(asked.axes), dict(asked.fixed)
-    for one in asked.experiment.parameters:
-        name, is_axis = one.name, one.name in axes
-        values = axes[name] if is_axis else (fixed.get(name),)
+    defaults, axes, fixed = stored.experiment.defaults(), dict(asked.axes), dict(asked.fixed)
+    for name in (one.name for one in asked.experiment.parameters if one.kind == "any"):
         known = (defaults.get(name), stored.fixed.get(name), *stored.axes.get(name, ()))
-        alike = numbers_like(known, values) if one.kind == "any" else values
-        if [*map(type, alike)] == [*map(type, values)]:
-            continue
-        (axes if is_axis else fixed)[name] = alike if is_axis else alike[0]
-        if asked.points is not None and name in asked.points.names:
-            table = document["points"]
-            document["points"] = {**table, "columns": {**table["columns"], name: one.written(alike)}}
-        else:  # what has an effect only sometimes is an axis that the document may have as fixed
-            section = "fixed" if name in document.get("fixed", {}) else "axes"
-            raw = one.written(alike if section == "axes" else alike[0])
-            document[section] = {**document.get(section, {}), name: raw}
-    return replace(asked, axes=axes, fixed=fixed, document=document)
+        if name in axes:
+            axes[name] = numbers_like(known, axes[name])
+        elif name in fixed:
+            (fixed[name],) = numbers_like(known, [fixed[name]])
+    return replace(asked, axes=axes, fixed=fixed)
 
 
 def united(stored: Study, asked: Study, in_ledger: Collection[bytes] = (), *, is_whole: bool = True) -> Study:
@@ -131,8 +121,7 @@ def united(stored: Study, asked: Study, in_ledger: Collection[bytes] = (), *, is
         return asked
     overrides = asked.overrides if is_same or EARLIER in asked.overrides else (*asked.overrides, EARLIER)
     conclusion = asked.conclusion if axes.keys() == asked.axes.keys() else None
-    result = replace(result, overrides=overrides, conclusion=conclusion)
-    return replace(result, document=_document(stored, asked, result))
+    return replace(result, overrides=overrides, conclusion=conclusion, sections=_sections(stored, asked, conclusion))
 
 
 def _most_places(points: int) -> int:
@@ -280,31 +269,12 @@ def _counts(
     return counts | all_but(whole, {*theirs.digests(places), *mine.digests(mine.indices()), *in_ledger})
 
 
-def _document(stored: Study, asked: Study, whole: Study) -> dict[str, Any]:
-    """Return the document from which a store makes the union again."""
-
-    def written(names: Sequence[str]) -> dict[str, Any]:
-        return {name: whole.experiment.parameter(name).written(whole.axes[name]) for name in names}
-
-    columns = () if whole.points is None else whole.points.names
-    document = {**asked.document, "axes": written([name for name in whole.axes if name not in columns])}
-    document["fixed"] = {n: raw for n, raw in asked.document.get("fixed", {}).items() if n not in whole.axes}
-    document["grid"] = {"zip": [list(names) for names in whole.zipped]}
-    clauses = zip(asked.excluded, asked.document.get("exclude", ()), strict=True)
-    document["exclude"] = [raw for clause, raw in clauses if clause in whole.excluded]
-    if not asked.experiment.deterministic:
-        document["sampling"] = whole.sampling.model_dump(exclude_none=True, exclude_unset=True)
-    if whole.points is not None:
-        document["points"] = whole.points.written(written(columns))
-    document["counts"] = whole.counts
-    if whole.conclusion is None:
-        document.pop("conclusion", None)
-    theirs, mine = (one.document.get("define", {}) for one in (stored, asked))
-    if theirs or mine:
-        document["define"] = {
-            name: {**theirs.get(name, {}), **mine.get(name, {})} for name in dict.fromkeys([*theirs, *mine])
-        }
-    return {key: value for key, value in document.items() if value not in ({}, [], {"zip": []})}
+def _sections(stored: Study, asked: Study, conclusion: Conclusion | None) -> dict[str, Any]:
+    """Return the sections of the union: what both define, and no conclusion that is about other axes."""
+    theirs, mine = (one.sections.get("define", {}) for one in (stored, asked))
+    define = {name: {**theirs.get(name, {}), **mine.get(name, {})} for name in {**theirs, **mine}}
+    sections = {**asked.sections, **({"define": define} if define else {})}
+    return {key: section for key, section in sections.items() if conclusion or key != "conclusion"}
 
 
 REFINED = "refined"
@@ -349,10 +319,9 @@ def refined(study: Study, rounds: Iterable[Round]) -> Study:
         counts |= {name: max(n, counts.get(name, 0)) for name, n in one.n_sim.items()}
     grown = [name for name, values in study.axes.items() if len(axes[name]) > len(values)]
     axes |= {name: tuple(sorted(axes[name], key=lambda value: (value is None, value or 0))) for name in grown}
-    grid, written = Grid(study), {name: parameters[name].written(axes[name]) for name in grown}
+    grid = Grid(study)
     counts |= all_but(replace(study, axes=axes), {*added, *grid.digests(grid.indices())})
-    document = {**study.document, "counts": counts, "axes": study.document.get("axes", {}) | written}
-    return replace(study, axes=axes, counts=counts, document=document)
+    return replace(study, axes=axes, counts=counts)
 
 
 def point_at(study: Study, values: Mapping[str, Value]) -> GridPoint:

@@ -154,11 +154,12 @@ def with_stored(store: Store, study: Study, only: bool = False) -> tuple[Study, 
         return study, study, None
     document = json.loads(attributes["study_document"])
     # The same files, as the caller has found; that which the store names may have moved.
-    files = {one.name for one in study.experiment.parameters if one.kind == "file"} & document.get("fixed", {}).keys()
+    files = {one.name for one in study.experiment.parameters if one.kind in ("file", "files")} & document.get(
+        "fixed", {}
+    ).keys()
     here = {name: raw for name, raw in study.document.get("fixed", {}).items() if name in files}
     document["fixed"] = document.get("fixed", {}) | here
     stored = recorded_study({**attributes, "study_document": json.dumps(document)}, where)
-    stored = replace(stored, document={**stored.document, "define": document.get("define", {})})
     study = with_numbers_of(stored, study)
     if only:
         return study, study, None

@@ -821,12 +821,6 @@ def plain_value(value: Any) -> Any:
     return value.item() if isinstance(value, np.generic) and value.dtype.kind in PLAIN else value
 
 
-def is_plain(raw: Any) -> bool:
-    """Return whether a value, or each in a list or a range, is such as a study file has."""
-    some = raw.values() if isinstance(raw, dict) else raw if isinstance(raw, list) else [raw]
-    return {*map(type, some)}.issubset(PLAIN_TYPES)
-
-
 def plain(value: Any, where: str) -> Any:
     """Return a value as TOML would give it: lists for arrays, ranges, tuples and indexes, Python's own numbers.
 

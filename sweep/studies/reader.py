@@ -28,7 +28,6 @@ from linksweep.sweep.studies.points import (
     Problems,
     Values,
     compared,
-    is_plain,
     labelled,
     plain_study,
     read_cell,
@@ -36,7 +35,6 @@ from linksweep.sweep.studies.points import (
     with_labels,
 )
 from linksweep.sweep.studies.study import DEFAULT_EXPERIMENT, Condition, Context, Form, Part, Published, Sampling, Study
-from linksweep.sweep.tables.columns import TableFile
 
 MAX_FILE_BYTES = 1_000_000
 
@@ -279,6 +277,9 @@ ONCE = Sampling(n_sim=1)
 GOOD_NAME = re.compile(r"[A-Za-z_][\w.+-]{0,59}", re.ASCII)
 """Names that can be written on the command line wherever it takes a value of an axis."""
 
+SECTIONS = ("title", "question", "define", "when", "published", "claim", "conclusion", "figure")
+"""The sections that a store has as they are written."""
+
 STATEMENTS = ("sampling", "grid", "exclude", "claim", "conclusion", "figure")
 """The sections that are read last: they are about the axes and the experiment."""
 
@@ -462,7 +463,7 @@ class _Reader:
         summary = " ".join(summary.split()).rstrip(".")
         if len(summary) > LONGEST_TITLE or not summary.isprintable() or form.title != experiment.name:
             summary, rest = "", [docstring]  # a terminal would take some of it for something else
-        study = Study(
+        return Study(
             name=self.path.stem,
             title=summary or form.title,
             description="".join(rest).strip("\n"),
@@ -483,8 +484,8 @@ class _Reader:
             conclusion=checked.conclusion,
             text=self.text,
             overrides=tuple(f"{flag} {text}" for flag, text in self.options.written or ()),
+            sections=self._portable(form),
         ).settled()
-        return replace(study, document=self._portable(form, study))
 
     def _conditions(
         self, values: Values, when: Mapping[str, Mapping[str, Sequence[Any]]]
@@ -556,35 +557,24 @@ class _Reader:
         whole = {key: section for key, section in document.items() if key not in form}
         return Form.model_validate({"title": "", **whole}), experiment, not {"axes", "points"} & form
 
-    def _portable(self, form: Form, study: Study) -> dict[str, Any]:
-        """Return the document with absolute paths of files, labels of objects, and with the values of a table of points
-        in place of its file or design.
-        """
-        document = {**self.document, "experiment": study.experiment_reference}
-        values, known = {**study.axes, **study.fixed}, {one.name: one for one in study.experiment.parameters}
-        written = {name: known[name].written(value) for name, value in values.items()}
-        if study.points is not None:
-            # the values and not the file or the function that gave them: a store is continued as it was begun
-            document["points"] = study.points.written({name: written[name] for name in study.points.names})
-        if study.excluded:
-            document["exclude"] = [{c.name: c.written(known[c.name]) for c in clause} for clause in study.excluded]
-        paths = {name: one.path for name, one in values.items() if isinstance(one, TableFile)}
-        for key in {"axes", "fixed"} & document.keys():
-            document[key] = document[key] | {
-                name: paths.get(name, written[name])
-                for name, raw in document[key].items()
-                if name in paths or (known[name].takes_objects and known[name].defined) or not is_plain(raw)
-            }
-        for name, by_name in form.define.items():
-            for word, entries in by_name.items():
-                absolute = {
-                    key: self.loaded.get(raw, raw) if isinstance(raw, str) else raw for key, raw in entries.items()
+    def _portable(self, form: Form) -> dict[str, Any]:
+        """Return the sections that a store has as they are written, with absolute paths of files."""
+        sections = {key: self.document[key] for key in SECTIONS if key in self.document}
+        if form.define:
+            sections["define"] = {
+                name: {
+                    word: {key: self._absolute(raw) for key, raw in table.items()} for word, table in by_name.items()
                 }
-                document["define"] = document["define"] | {name: document["define"][name] | {word: absolute}}
+                for name, by_name in form.define.items()
+            }
         if form.published is not None:
             file = str((self.folder / form.published.file).resolve())
-            document["published"] = document["published"] | {"file": file}
-        return document
+            sections["published"] = sections["published"] | {"file": file}
+        return sections
+
+    def _absolute(self, raw: Any) -> Any:
+        """Return a reference as it works from any directory, anything else as it is."""
+        return self.loaded.get(raw, raw) if isinstance(raw, str) else raw
 
     def _defined(self, experiment: Experiment, tables: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Experiment:
         """Return the experiment with the values that the tables [define.PARAMETER.NAME] define."""
@@ -628,7 +618,7 @@ class _Reader:
 def problems_of_results(study: Study) -> list[str]:
     """Return what is wrong in what a study says of results, once it is known which there are."""
     problems = Problems(study.source, study.text)
-    figure = {key: some for key, some in study.document.get("figure", {}).items() if key != "at"}
+    figure = {key: some for key, some in study.sections.get("figure", {}).items() if key != "at"}
     context = Context(study.experiment, {}, (), frozenset(), frozenset())
     _read_form({"title": "", "figure": figure}, problems, context)
     outputs = (*study.experiment.outputs, *study.experiment.sample_outputs)

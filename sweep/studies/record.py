@@ -82,12 +82,12 @@ def recorded_study(attributes: Mapping[str, Any], where: str, *, whole: bool = F
         raise SweepError("has no record of its experiment", where)
     try:
         code = Recorded(_experiment(json.loads(attributes[RECORD])))
-        document = json.loads(attributes["study_document"])
+        written = json.loads(attributes["study_document"])
         # what would load code, or be wrong where outputs are not known; results have attributes of their own for it
-        for key in ("define",) if whole else ("define", "published", "claim", "conclusion", "figure"):
-            document.pop(key, None)
+        left_out = {"define"} if whole else {"define", "published", "claim", "conclusion", "figure"}
+        document = {key: section for key, section in written.items() if key not in left_out}
         study = study_of_attributes({**attributes, "study_document": json.dumps(document)}, where, code)
-        return replace(study, document=json.loads(attributes["study_document"])) if whole else study
+        return replace(study, sections={**study.sections, **{key: written[key] for key in left_out & written.keys()}})
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, MemoryError, RecursionError) as error:
         raise SweepError(f"the record of its experiment cannot be read ({error})", where) from error
 

@@ -139,7 +139,8 @@ class Condition:
 
     def written(self, parameter: Parameter) -> dict[str, Any]:
         """Return it as a study file has it, objects as their digests."""
-        rule = {"in": parameter.written(self.among), "above": self.above, "below": self.below}
+        among = None if self.among is None else [*map(parameter.written, self.among)]
+        rule = {"in": among, "above": self.above, "below": self.below}
         return {key: value for key, value in rule.items() if value is not None}
 
     def unmet(self, values: Sequence[Value], is_declared: bool) -> str:
@@ -765,7 +766,8 @@ class Study:
         conclusion: the sentences of its answer.
         text: the file as written.
         overrides: what the command line changed.
-        document: what a store needs to make the study again: with overrides, and with absolute paths of files.
+        sections: what a store needs beside these to make the study again, as written: all that is no value of a
+            parameter, with overrides, and with absolute paths of files.
         part: the part of its work that is computed, None for all.
         description: what the docstring of a function says, without its title.
     """
@@ -789,12 +791,36 @@ class Study:
     conclusion: Conclusion | None = None
     text: str = ""
     overrides: tuple[str, ...] = ()
-    document: Mapping[str, Any] = field(default_factory=dict, repr=False)
+    sections: Mapping[str, Any] = field(default_factory=dict, repr=False)
     part: Part | None = None
     description: str = ""
 
     def __repr__(self) -> str:
         return f"<Study {self.name} over {', '.join(self.axes) or 'one point'}: {self.title!r}>"
+
+    @cached_property
+    def document(self) -> dict[str, Any]:
+        """What a store needs to make the study again: the values of a table of points and not the file or the function
+        that gave them, since a store is continued as it was begun.
+        """
+        known = {one.name: one for one in self.experiment.parameters}
+        columns = () if self.points is None else self.points.names
+        axes = {name: known[name].written(values) for name, values in self.axes.items()}
+        table = None if self.points is None else self.points.written({name: axes.pop(name) for name in columns})
+        zipped, sampling = [list(names) for names in self.zipped], self.sampling
+        values = {
+            "axes": axes,
+            "fixed": {name: known[name].written(value) for name, value in self.fixed.items()},
+            "sampling": {}
+            if self.experiment.deterministic
+            else sampling.model_dump(exclude_none=True, exclude_unset=True),
+            "grid": {"zip": zipped} if zipped else {},
+            "points": table,
+            "exclude": [{one.name: one.written(known[one.name]) for one in clause} for clause in self.excluded],
+            "counts": dict(self.counts),
+        }
+        named = {"experiment": self.experiment_reference}
+        return {**self.sections, **named, **{key: section for key, section in values.items() if section}}
 
     @property
     def dimensions(self) -> dict[str, tuple[str, ...]]:
@@ -812,7 +838,7 @@ class Study:
     @property
     def is_ours(self) -> bool:
         """Whether only code that comes with linksweep computes it."""
-        return self.experiment_reference.partition(".")[0] == "linksweep" and not self.document.get("define")
+        return self.experiment_reference.partition(".")[0] == "linksweep" and not self.sections.get("define")
 
     @property
     def draws_together(self) -> bool:
@@ -895,7 +921,7 @@ class Study:
             **({} if self.experiment.deterministic else {"seed": self.sampling.seed}),
             **({"keep_samples": True} if self.sampling.keep_samples else {}),
             **({"common_random_numbers": shared} if self.sampling.common_random_numbers else {}),
-            **({"when": self.document["when"]} if self.document.get("when") else {}),
+            **({"when": self.sections["when"]} if self.sections.get("when") else {}),
             "fixed": {k: v for k, v in sorted(self.fixed.items()) if is_other(v, defaults[k])},
         }
 
