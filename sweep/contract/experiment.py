@@ -657,27 +657,23 @@ def checked(
     return arrays
 
 
-def check_finite(arrays: Mapping[str, Array], may_be_nan: Sequence[str]) -> None:
-    """Raise NotFiniteError that says how many values of which array are NaN or infinite."""
-    bounded = {name: array for name, array in arrays.items() if name not in may_be_nan}
-    phrases = [not_finite(name, array, is_one=array.size == 1) for name, array in bounded.items()]
-    if problems := [phrase for phrase in phrases if phrase]:
-        raise NotFiniteError("; ".join(problems))
-
-
-def not_finite(name: str, array: Array, is_one: bool) -> str | None:
-    """Return a phrase on how many values are NaN or infinite, or which of the two a single one (``is_one``) is; None if
-    all are finite.
+def check_finite(arrays: Mapping[str, NDArray[Any]], may_be_nan: Collection[str]) -> None:
+    """Raise NotFiniteError that says how many values of which array are NaN or infinite, or which of the two a single
+    one is.
     """
-    finite = np.isfinite(array)
-    if finite.all():
-        return None
-    bad = array[~finite]
-    nan = int(np.isnan(bad).sum())
-    if is_one:
-        return f"{name} is {'NaN' if nan else 'infinite'}"
-    counts = [f"{n} {word}" for n, word in ((nan, "NaN"), (bad.size - nan, "infinite")) if n]
-    return f"{name} has {' and '.join(counts)} of {array.size} values"
+    phrases = []
+    for name, array in arrays.items():
+        if name in may_be_nan or (finite := np.isfinite(array)).all():
+            continue
+        nan = np.count_nonzero(np.isnan(array))
+        kinds = {"NaT" if array.dtype.kind == "M" else "NaN": nan, "infinite": np.count_nonzero(~finite) - nan}
+        counts = {word: n for word, n in kinds.items() if n}
+        of_many = " and ".join(f"{n} {word}" for word, n in counts.items())
+        phrases.append(
+            f"{name} is {min(counts)}" if array.size == 1 else f"{name} has {of_many} of {array.size} values"
+        )
+    if phrases:
+        raise NotFiniteError("; ".join(phrases))
 
 
 def _array(returned: Any, shape: tuple[int, ...]) -> Array:

@@ -445,8 +445,8 @@ class FunctionExperiment(Experiment):
             if (key := id(outcome.layout)) not in verdicts:
                 # results with arrays come with a layout each: equal ones are told faster than they are hashed
                 wrong = () if outcome.layout == layout else results.layout_refusals(layout, outcome.layout)
-                if wrong and not self.rng and not self.vectorised:
-                    wrong += results.lengths_hint(layout, outcome.layout)
+                if wrong and not self.rng and not self.vectorised and layout.sizes != outcome.layout.sizes:
+                    wrong += ("where lengths may differ, declare Output(NAME, ragged=True), or ragged='DIMENSION'",)
                 verdicts[key] = "; ".join(wrong)
                 layout = layout if wrong else results.joined(layout, outcome.layout)
             if verdicts[key]:

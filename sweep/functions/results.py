@@ -13,7 +13,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import NotFiniteError, Outcome, Output, ResultError, not_finite, shown, suggest
+from linksweep.sweep.contract import NotFiniteError, Outcome, Output, ResultError, check_finite, shown, suggest
 from linksweep.sweep.contract.experiment import names_problems, same_unit
 from linksweep.sweep.contract.rows import LENGTH, REFERENCE, beyond_floats, chunk_grid, is_large, padded
 
@@ -214,18 +214,6 @@ def as_row(outcome: Outcome, expected: Layout) -> Any:
         padded(values[field.name][1], expected.shape(field)) if field.name in expected.ragged else values[field.name][1]
         for field in expected.fields
     )
-
-
-def lengths_hint(expected: Layout, other: Layout) -> tuple[str, ...]:
-    """Return how to declare the results whose lengths differ from those of another point, if there are any."""
-    different = {one.name for one in expected.coordinates if len(one.labels) != other.sizes.get(one.name)}
-    outputs = [
-        f"Output({f.name!r}, {f'dims={f.dims}, ragged={dim!r}' if len(f.dims) > 1 else 'ragged=True'})"
-        for f in expected.fields
-        for dim in f.dims
-        if dim in different and f.name not in expected.ragged
-    ]
-    return (f"declare {', '.join(outputs)} where lengths may differ",) if outputs else ()
 
 
 def same_value(one: Any, other: Any) -> bool:
@@ -623,17 +611,14 @@ def _add_lengths(values: dict[str, Value], coordinates: Mapping[str, Coordinate]
 
 
 def _check_finite(arrays: Sequence[NDArray[Any]], layout: Layout, declared: Declared) -> None:
-    problems = []
-    for field, array in zip(layout.fields, arrays, strict=True):
-        output = declared.by_name.get(field.name)
-        if output is not None and output.nan:
-            continue
-        if field.type == "float" and (problem := not_finite(field.name, array, is_one=array.ndim == 0)):
-            problems.append(problem)
-        elif field.type == "datetime" and (n := np.count_nonzero(np.isnat(array))):
-            problems.append(f"{field.name} has {n} times that are NaT")
-    if problems:
+    pairs = zip(layout.fields, arrays, strict=True)
+    try:
+        check_finite(
+            {field.name: array for field, array in pairs if field.type in ("float", "datetime")},
+            [output.name for output in declared.outputs if output.nan],
+        )
+    except NotFiniteError as error:
         hint = "declare Output(..., nan=True) where that is a value"
         if any(len(field.dims) > 1 for field in layout.fields):
             hint += ", or what a MultiIndex of pandas lacks"
-        raise NotFiniteError(f"{declared.function}: {'; '.join(problems)} ({hint})")
+        raise NotFiniteError(f"{declared.function}: {error} ({hint})") from error
