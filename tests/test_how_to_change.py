@@ -61,11 +61,11 @@ from contextlib import contextmanager
 from linksweep.sweep.executing.pools import Place
 from linksweep.sweep.executing.worker import compute
 @contextmanager
-def backwards(reference, workers, limits):
+def backwards(reference, workers):
     def execute(take):
         while jobs := take(3):
             for job in reversed(jobs):
-                yield job, compute(job.task(limits, 0.0))
+                yield job, compute(job.task())
     yield Place("in this process, the last job first", 1), execute
 """
 A_POOL = """

@@ -124,7 +124,7 @@ class Children:
 
     def __call__(self, take: Callable[[int], Sequence[AnyJob]]) -> Iterator[tuple[AnyJob, Any]]:
         """Compute everything that ``take`` gives."""
-        return self._results(lambda: next(((job, job.task(self._limits, 0.0)) for job in take(1)), None))
+        return self._results(lambda: next(((job, job.task(self._limits)) for job in take(1)), None))
 
     def run(self, task: Task) -> TaskResult:
         """Compute one task."""
@@ -466,13 +466,8 @@ def processes(reference: str, workers: int, limits: Limits = NO_LIMITS) -> Itera
 
 
 @contextmanager
-def threads(reference: str, workers: int, limits: Limits = NO_LIMITS) -> Iterator[tuple[Place, Executor]]:
-    """Give an executor on threads of this process; with limits jobs run in a child process for each."""
-    place = Place(f"on {workers} local {'thread' if workers == 1 else 'threads'}", workers)
-    if limits:
-        with Children(reference, workers, limits) as children:
-            yield place, children
-        return
+def threads(_reference: str, workers: int) -> Iterator[tuple[Place, Executor]]:
+    """Give an executor on threads of this process."""
     todo: SimpleQueue[Any] = SimpleQueue()
 
     def execute(take: Callable[[int], Sequence[AnyJob]]) -> Iterator[tuple[AnyJob, Any]]:
@@ -482,7 +477,7 @@ def threads(reference: str, workers: int, limits: Limits = NO_LIMITS) -> Iterato
             # One job more than threads, so that none waits while the results of another are used.
             for job in take(workers + 1 - under_way):
                 # A new thread has none of the context variables that are set here.
-                todo.put((job, copy_context().run, job.task(limits, 0.0), done))
+                todo.put((job, copy_context().run, job.task(), done))
                 under_way += 1
             if not under_way:
                 return
@@ -503,7 +498,7 @@ def threads(reference: str, workers: int, limits: Limits = NO_LIMITS) -> Iterato
         for _ in range(workers):
             Thread(target=work, daemon=True).start()  # Python would wait for others at its end
         try:
-            yield place, execute
+            yield Place(f"on {workers} local {'thread' if workers == 1 else 'threads'}", workers), execute
         finally:
             while not todo.empty():  # nobody will take these results
                 todo.get()
@@ -512,25 +507,15 @@ def threads(reference: str, workers: int, limits: Limits = NO_LIMITS) -> Iterato
 
 
 @contextmanager
-def serial(
-    reference: str, _workers: int = 1, limits: Limits = NO_LIMITS, apart: bool = False
-) -> Iterator[tuple[Place, Executor]]:
-    """Give an executor that computes one job after the other in this process: the definition of the result.
-
-    With limits, or ``apart``, a child process computes them, since this one must not be ended or changed.
-    """
+def serial(_reference: str, _workers: int = 1) -> Iterator[tuple[Place, Executor]]:
+    """Give an executor that computes one job after the other in this process: the definition of the result."""
 
     def execute(take: Callable[[int], Sequence[AnyJob]]) -> Iterator[tuple[AnyJob, Any]]:
         while jobs := take(1):
-            yield jobs[0], worker.compute(jobs[0].task(limits, 0.0))
+            yield jobs[0], worker.compute(jobs[0].task())
 
-    place = Place("in one process" if apart else "in this process", 1)
     with threadpool_limits(1):  # sums of products must not depend on the number of cores
-        if apart or limits:
-            with Children(reference, 1, limits) as child:
-                yield place, child
-        else:
-            yield place, execute
+        yield Place("in this process", 1), execute
 
 
 @contextmanager
@@ -543,16 +528,17 @@ def _measured_first(study: Study, cost: float, say: Callable[[str], None]) -> It
     """
     with ExitStack() as stack:
         first = stack.enter_context(ExitStack())
-        place, compute_here = first.enter_context(serial(study.experiment_reference, apart=not study.is_ours))
+        one = serial if study.is_ours else processes
+        place, compute_here = first.enter_context(one(study.experiment_reference, 1))
 
         def execute(take: Callable[[int], Sequence[AnyJob]]) -> Iterator[tuple[AnyJob, Any]]:
             done = busy = 0.0
             slowest = (1.0, 0.0)  # the cost and the seconds of that task, which may have imported: it decides nothing
             for job, result in compute_here(take):
                 yield job, result
-                one = job.cost * len(result.seconds) / len(job), float(result.seconds.sum())
-                done, busy = done + one[0], busy + one[1]
-                slowest = max(slowest, one, key=lambda task: task[1] / task[0])
+                latest = job.cost * len(result.seconds) / len(job), float(result.seconds.sum())
+                done, busy = done + latest[0], busy + latest[1]
+                slowest = max(slowest, latest, key=lambda task: task[1] / task[0])
                 usual = busy - slowest[1]
                 left = max(0.0, cost - done) * usual / max(done - slowest[0], 1e-9)
                 if usual > JUDGED_S and left * (1.0 - 1.0 / available_cores()) > WORKERS_START_S:

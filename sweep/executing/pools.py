@@ -32,7 +32,7 @@ class Pool(NamedTuple):
     def open(self, *arguments: Any) -> Any:
         """Return a context manager that gives the place and the executor of an experiment with this reference.
 
-        The arguments are the reference, the number of workers and the limits, for `DASK` the resources and who says it.
+        The arguments are the reference and the number of workers, for `DASK` the resources and who says it.
         """
         module, _, name = self.opener.partition(":")
         return getattr(import_module(module), name)(*arguments)
@@ -140,7 +140,11 @@ class Resources:
         """Return the context manager of `Pool.open`, for an experiment with this reference."""
         if (self.scheduler, self.cluster, self.client, self.dashboard) != (None, None, None, False):
             return DASK.open(reference, self, say)
-        return POOLS[self.pool or DEFAULT_POOL].open(reference, self.workers or available_cores(), self.limits)
+        pool = POOLS[self.pool or DEFAULT_POOL]
+        workers = (self.workers or available_cores()) if pool.has_workers else 1
+        if self.limits:  # a process that reaches them is ended: not this one
+            return POOLS["processes"].open(reference, workers, self.limits)
+        return pool.open(reference, workers)
 
     @property
     def none_requested(self) -> bool:

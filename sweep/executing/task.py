@@ -228,7 +228,7 @@ class Call:
     def __len__(self) -> int:
         return 1
 
-    def task(self, limits: Limits, _enough_s: float) -> "Call":
+    def task(self, limits: Limits = NO_LIMITS, _enough_s: float = 0.0) -> "Call":
         """Return what a worker gets."""
         return replace(self, time_limit_s=limits.time_s)
 

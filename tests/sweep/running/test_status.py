@@ -294,5 +294,5 @@ def test_imports_neither_start_workers_nor_make_a_point_slow(tmp_path, sweep_her
     """A second for each of 24 points would be worth the start of workers."""
     (tmp_path / "f.py").write_text(SLOW_FIRST.format(module=module, call=call))
     code, _, err = sweep_here("run", "f.py:f", "--axis", "x=0:23:1", "--log", "run.log", cwd=tmp_path)
-    assert (code, "in one process" in err) == (0, True), err
+    assert (code, "on 1 local worker process" in err) == (0, True), err
     assert not re.search(r"the rest runs on|slowest|about \d+ s left", err + (tmp_path / "run.log").read_text())
