@@ -9,7 +9,7 @@ import time
 from pathlib import Path
 
 from linksweep.sweep.executing.pools import Resources
-from linksweep.sweep.running.progress import Eta, Silent
+from linksweep.sweep.running.progress import Eta, Progress
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.studies.reader import study_from_dict
 
@@ -29,7 +29,7 @@ STUDIES = {
 }
 
 
-class Recorded(Silent):
+class Recorded(Progress):
     """Keeps what was estimated after each result."""
 
     def start(self, survey, where, workers):

@@ -32,10 +32,10 @@ from pathlib import Path
 from benchmarks.trivial import FUNCTION, study
 from linksweep.sweep.studies.reader import study_from_dict
 from linksweep.sweep.executing.pools import Resources
-from linksweep.sweep.running.progress import Silent
+from linksweep.sweep.running.progress import Progress
 from linksweep.sweep.running.run import run_study
 
-class Clock(Silent):
+class Clock(Progress):
     def start(self, survey, where, workers):
         self.begun, self.cpu = time.perf_counter(), time.process_time()
 

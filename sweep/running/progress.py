@@ -7,13 +7,11 @@ import logging
 import re
 import sys
 import time
-from array import array
 from collections import Counter, deque
 from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass
-from typing import Any, Protocol, TextIO
+from typing import Any, TextIO
 
-import numpy as np
 from rich.console import Console
 from rich.live import Live
 from rich.progress_bar import ProgressBar
@@ -24,7 +22,7 @@ from linksweep.sweep.contract import shown
 from linksweep.sweep.executing.task import Failure, TaskResult
 from linksweep.sweep.formatting import ESCAPED, counted, harmless, in_words, now, per_second, typed, without_secrets
 from linksweep.sweep.interrupt import how_ended
-from linksweep.sweep.planning.grid import Grid, GridPoint, describe
+from linksweep.sweep.planning.grid import GridPoint, describe
 from linksweep.sweep.planning.plan import PlanSize, Survey, Work
 from linksweep.sweep.studies.study import Study
 
@@ -239,12 +237,6 @@ LINE_FIRST_S, LINE_LAST_S, LINE_SHARE = 5.0, 600.0, 0.1
 # The least time between two updates of the line in a notebook.
 NOTEBOOK_S = 0.5
 
-# Most of the slowest points that are named.
-SLOWEST = 3
-
-# A point is slow if it takes more than so many times the median of all points, and more than so many seconds.
-MUCH_SLOWER, WORTH_SAYING_S = 3.0, 1.0
-
 
 class Eta:
     """Estimates the time left, with all times in seconds of one clock: the seconds that the work which is left takes if
@@ -312,8 +304,8 @@ class Taken:
     begun: Set[int] = frozenset()
 
 
-class Progress(Protocol):
-    """What watches a run; methods that such a class leaves out do nothing."""
+class Progress:
+    """What watches a run: in itself nothing, and it tells only what a study is warned of."""
 
     def start(self, survey: Survey, where: str, workers: int | None) -> None:
         """Work begins, at the place that ``where`` names, with so many workers if that is known."""
@@ -328,20 +320,12 @@ class Progress(Protocol):
         return
 
     def say(self, text: str) -> None:
-        """Tell something in a sentence."""
-        return
-
-
-class Silent(Progress):
-    """Watches nothing, and tells only what a study is warned of."""
-
-    def say(self, text: str) -> None:
-        """Log a warning."""
+        """Tell something in a sentence; log a warning."""
         if text.startswith("warning: "):
             SENTENCES.warning(text)
 
 
-class TerminalProgress:
+class TerminalProgress(Progress):
     """Shows points done, time left and speed: in a ``bar`` if there is a terminal, else in a line now and then.
 
     To a file of ``events`` it appends a line of JSON for each: started, points, failed, written and, at the end of the
@@ -356,7 +340,6 @@ class TerminalProgress:
         self._with_bar = bar and self._console.is_terminal
         self._bar: Live | None = None
         self._done = PlanSize(0, 0, 0, 0.0)
-        self._seconds = array("d")  # by the point's index: a dictionary would be large for a large grid
         self._busy = 0.0
         self._warned: Counter[str] = Counter()
         self._first_warned: dict[str, str] = {}
@@ -397,9 +380,6 @@ class TerminalProgress:
         self._done += taken.done
         self._busy += seconds
         points = [point for work in works for point in work.points]
-        for point, took in zip(points[result.cold :], result.seconds[result.cold :].tolist(), strict=True):
-            self._seconds.extend([0.0] * (point.index + 1 - len(self._seconds)))
-            self._seconds[point.index] += took
         for row, said in result.said.items():
             place = describe(self._study, points[row].parameters)
             self._warned.update(said.warnings)
@@ -464,8 +444,9 @@ class TerminalProgress:
         self._failures = len(failures)
         if self._begun is not None:
             further = f"; next: {', '.join(commands)}" if commands and not failures else ""
-            for line in (*self.summary(self._elapsed()), f"wrote {str(store).translate(ESCAPED)}{further}"):
-                self.say(line)
+            if self._done.blocks:
+                self.say(self._summary(self._elapsed()))
+            self.say(f"wrote {str(store).translate(ESCAPED)}{further}")
             for text, n in self._warned.most_common(NAMED):
                 often = "once" if n == 1 else f"{n:,} times, first"
                 SENTENCES.warning(f"warned {often} at {self._first_warned[text]}: {short(text)}")
@@ -479,26 +460,16 @@ class TerminalProgress:
                 f"`sweep reproduce {name} --at POINT` runs one here"
             )
 
-    def summary(self, elapsed: float) -> list[str]:
-        """Return what there is to say at the end of a run that took ``elapsed`` seconds; nothing if it did nothing."""
-        if not self._done.blocks:
-            return []
+    def _summary(self, elapsed: float) -> str:
+        """Return what there is to say at the end of a run that took ``elapsed`` seconds."""
         failed = self._count.reasons.points
         realisations = "" if self._once else f" and {counted(self._done.realisations, 'realisation')}"
         took = f"{elapsed:.2g} s" if elapsed < 10.0 else in_words(elapsed)
-        lines = [
+        return (
             f"{counted(self._done.points - failed, 'point')}{realisations}"
             f"{f' done, {failed:,} failed,' if failed else ''} in {took}: "
             f"{self._speed(elapsed)}, {self._busy:,.1f} s of work by all workers together"
-        ]
-        taken = np.array(self._seconds)
-        if np.count_nonzero(taken) > 1:
-            least = max(MUCH_SLOWER * float(np.median(taken[taken > 0.0])), WORTH_SAYING_S)
-            slowest = [i for i in np.argsort(-taken, kind="stable")[:SLOWEST].tolist() if taken[i] > least]
-            points = Grid(self._study).points(np.array(slowest, dtype=np.intp))
-            slow = [f"{describe(self._study, p.parameters)} {in_words(taken[p.index])}" for p in points]
-            lines += [f"slowest: {'; '.join(slow)}"] if slow else []
-        return lines
+        )
 
     def _elapsed(self) -> float:
         assert self._begun is not None, "a run starts before it is described"

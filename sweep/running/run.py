@@ -30,7 +30,7 @@ from linksweep.sweep.planning.accumulator import TUNED, Accumulator, Pending
 from linksweep.sweep.planning.grid import AT_ONCE, Grid, GridPoint, describe, failures_by_place, make_grid
 from linksweep.sweep.planning.plan import TARGET, Plan, PlanSize, Survey, Work
 from linksweep.sweep.planning.union import REFINED, UNITED, united, with_numbers_of
-from linksweep.sweep.running.progress import FIRST, FailureCount, MaxFailures, Progress, Silent, Taken
+from linksweep.sweep.running.progress import FIRST, FailureCount, MaxFailures, Progress, Taken
 from linksweep.sweep.running.results import Labelled, add_covariances, assemble, assemble_samples, code_variable, masked
 from linksweep.sweep.stores.ledger import Record
 from linksweep.sweep.stores.location import Where, holder, locked, writing
@@ -771,7 +771,7 @@ class Session:
         ``postponed`` gives contexts in which interruptions wait.  Raises SweepError for results that are refused, and
         whatever the executor raises, with everything that was finished in the store.
         """
-        progress = progress or Silent()
+        progress = progress or Progress()
         total, pending = self.survey.total.points, self.survey.pending
         failing = FailureCount(self.study, total, total - pending.points, most=max_failures)
         writer = self._writer = Writer(self.accumulator, self._begun(progress), postponed)
@@ -814,7 +814,7 @@ class Session:
             dataset = writer.write(final=not self._too_many)
         writer.require_whole()
         results = (dataset, writer.failures()) if self._asked is None else self.part()
-        progress = progress or Silent()
+        progress = progress or Progress()
         progress.written()
         for sentence in json.loads(results[0].attrs["warnings"])[len(writer.plan.grid.warnings) :]:
             progress.say(f"warning: {sentence}")
@@ -938,7 +938,7 @@ def run_study(
     everything that was finished in the store TooManyFailuresError where more than ``max_failures`` fail, by default
     where the first points all fail for one reason, and RunInterruptedError on SIGINT, SIGTERM and SIGHUP.
     """
-    progress = progress or Silent()
+    progress = progress or Progress()
     grid = make_grid(study)
     for sentence in grid.warnings:
         progress.say(f"warning: {sentence}")

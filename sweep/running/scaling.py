@@ -16,7 +16,7 @@ from linksweep.sweep.contract import FEWEST_SAMPLES, Array, SweepError, small_sa
 from linksweep.sweep.executing.pools import DEFAULT_POOL, PoolName, Resources, available_cores
 from linksweep.sweep.formatting import described, now
 from linksweep.sweep.planning.plan import Survey
-from linksweep.sweep.running.progress import Silent
+from linksweep.sweep.running.progress import Progress
 from linksweep.sweep.running.run import run_study
 from linksweep.sweep.studies.record import provenance
 from linksweep.sweep.studies.study import Study
@@ -29,7 +29,7 @@ Grown = Literal["n_sim", "n_cat"]
 
 
 @dataclass
-class _Clock(Silent):
+class _Clock(Progress):
     """Records when the workers of a run have started, and when its results are on disk."""
 
     started: float = 0.0

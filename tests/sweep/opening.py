@@ -18,7 +18,7 @@ from linksweep.sweep.planning.grid import make_grid
 from linksweep.sweep.planning.plan import generators
 from linksweep.sweep.running import run as running
 from linksweep.sweep.running.merge import MERGED, merge
-from linksweep.sweep.running.progress import Silent
+from linksweep.sweep.running.progress import Progress
 from linksweep.sweep.running.run import find_store, identity, open_store, plan_study
 from linksweep.sweep.running.scaling import measure_scaling
 from linksweep.sweep.running.status import status_report
@@ -60,7 +60,7 @@ def same(one, other):
     xr.testing.assert_identical(bare(one), bare(other))
 
 
-class Sentences(Silent):
+class Sentences(Progress):
     """Keeps what is said, how many blocks each task did, and what points printed."""
 
     def __init__(self):
@@ -74,7 +74,7 @@ class Sentences(Silent):
         self.printed.extend(result.said.values())
 
 
-class Stopping(Silent):
+class Stopping(Progress):
     """A progress that ends a run after some tasks, as Ctrl-C does or with another error."""
 
     def __init__(self, tasks, error=KeyboardInterrupt):

@@ -10,7 +10,7 @@ from scipy import stats
 import linksweep
 from linksweep import Output, experiment
 from linksweep.sweep.analysis.quantity import standard_error
-from tests.sweep.opening import OpenStore, Silent, Stopping, same
+from tests.sweep.opening import OpenStore, Progress, Stopping, same
 from tests.tiers import few, slow
 
 PRECISE, MANY, WIDE = {"n_sim": 64, "precision": 0.05}, {"n_sim": 700}, ("q95", "std", "median")
@@ -123,7 +123,7 @@ def test_a_quantile_goes_on_until_its_error_is_known(tmp_path):
     assert ("below 3782 realisations" in error.description, np.isnan(error.item())) == (True, True)
 
 
-class StopAt(Silent):
+class StopAt(Progress):
     """A progress that ends a run, as Ctrl-C does, once this share of its work is done."""
 
     def __init__(self, share):

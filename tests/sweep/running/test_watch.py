@@ -16,7 +16,7 @@ from hypothesis import given, settings as examples_of, strategies as st
 from linksweep.sweep.running import status as watch
 from linksweep.sweep.running.progress import Eta
 from tests.sweep import opening
-from tests.sweep.opening import OFTEN, Silent, Stopping, files_of, located, parts_of, run, status_report
+from tests.sweep.opening import OFTEN, Progress, Stopping, files_of, located, parts_of, run, status_report
 from tests.tiers import PATIENCE_S, examples, slow
 
 CODE = """
@@ -108,7 +108,7 @@ def test_tiles_hold_every_point_once(tmp_path, shape):
 def test_a_store_that_comes_runs_ends_and_goes(coins, place):
     watched, states = watch.Watched(place), []
 
-    class Looking(Silent):
+    class Looking(Progress):
         def advance(self, works, result, taken):
             watched.look()
             states.append((watched.state, watched.progress))

@@ -96,7 +96,7 @@ def history(request, place, tmp_path, monkeypatch):
     if request.param == "images":
         document, axes = small_chunks(monkeypatch, tmp_path), [{"k": [1, 2, 3, 4, 5, 6][:n]} for n in (3, 5, 6)]
 
-    class Keeping(opening.Silent):
+    class Keeping(opening.Progress):
         def advance(self, works, result, taken):
             writings.append(files_of(place))
 

@@ -285,7 +285,7 @@ def model(x: float):
 
 @pytest.mark.parametrize(("change", "lost"), LOSSES.values(), ids=LOSSES)
 def test_a_run_whose_store_is_lost_says_so_and_keeps_what_was_computed(path, monkeypatch, change, lost):
-    class Losing(opening.Silent):
+    class Losing(opening.Progress):
         done = 0
 
         def advance(self, works, result, taken):
