@@ -91,10 +91,13 @@ def united(stored: Study, asked: Study, in_ledger: Collection[bytes] = (), *, is
     repeat = _repeat(rows, () if points is None else points.names, theirs, mine)
     is_sparse = math.prod(map(len, rows.values())) > _most_places(len(places) + len(mine))
     axes, is_table = _columns(rows), are_lost or repeat or not _is_crossed(theirs, mine) or is_sparse
+    sides = (theirs, was, theirs.repeated(places)), (mine, now, mine.repeated(mine.indices()))
     if is_table or Grid(replace(asked, axes=axes, zipped=tuple(rows), points=points)).divided:
         names = tuple(dict.fromkeys([*stored.axes, *asked.axes, *changed]))
-        old = [tuple({**was, **p.parameters}[name] for name in names) for p in theirs.points(theirs.repeated(places))]
-        new = [tuple(p.parameters[name] for name in names) for p in mine.points(mine.repeated(mine.indices()))]
+        old, new = (
+            [tuple({**constants, **p.parameters}[name] for name in names) for p in grid.points(some)]
+            for grid, constants, some in sides
+        )
         rows, excluded, tables = {names: _joined(old, new)}, (), [PointTable(names)]
         if len(rows[names]) > MAX_VALUES:
             raise SweepError(f"the store and the study are together a table of more than {MAX_VALUES:,} points")
@@ -102,7 +105,7 @@ def united(stored: Study, asked: Study, in_ledger: Collection[bytes] = (), *, is
     if tables:
         columns = {name: axes[name] for name in tables[0].names}
         whole = [one.points for one in (asked, stored) if one.points in tables and columns.items() <= one.axes.items()]
-        labels = _labels(columns, stored, asked)
+        labels = _labels(columns, *sides)
         points = PointTable(tables[0].names, whole[0].origin if whole else {UNITED: True}, labels)
     result = replace(
         asked,
@@ -130,14 +133,15 @@ def _most_places(points: int) -> int:
 
 
 def _repeat(rows: Rows, table: tuple[str, ...], *grids: Grid) -> bool:
-    """Return whether values of an axis repeat, or rows of a ``table`` along more places of other axes than in a grid
-    that has them.
+    """Return whether values of an axis repeat, or rows of a ``table`` repeat or have other labels along more places of
+    other axes than in a grid that has them.
     """
     others = {names: some for names, some in rows.items() if names != table}
     along = math.prod(map(len, others.values()))
     distinct = [[(value,) for value in column] for column in _columns(others).values()]
-    distinct += [one.rows[POINT] for one in grids if len(one) < along * len(one.rows.get(POINT, ()))]
-    return any(turn for some in distinct for _, turn in _keys(some))
+    narrow = [one.rows[POINT] for one in grids if len(one) < along * len(one.rows.get(POINT, ()))]
+    is_repeated = any(turn for some in (*distinct, *narrow) for _, turn in _keys(some))
+    return is_repeated or (bool(narrow) and _are_relabelled(table, *grids))
 
 
 def _columns(rows: Rows) -> dict[str, tuple[Value, ...]]:
@@ -162,20 +166,44 @@ def _values(parameter: Parameter, column: Sequence[Value], is_table: bool) -> tu
     return values
 
 
-def _labels(columns: Mapping[str, Sequence[Value]], *studies: Study) -> dict[str, list[Any]]:
-    """Return the labels of the rows of a table, by the values in the columns of the studies' tables: those of the last
-    study that has some.  Rows that repeat keep theirs in their order.
+def _labels(
+    columns: Mapping[str, Sequence[Value]], *sides: tuple[Grid, Mapping[str, Value], NDArray[np.intp]]
+) -> dict[str, list[Any]]:
+    """Return the labels of the rows of a table, from the tables of studies: those of the last that has a row.  Of each
+    side its grid, its constants and the indices of its points.  Rows that repeat keep theirs in their order.
     """
     labels: dict[str, list[Any]] = {}
-    turns = [turn for _, turn in _keys(zip(*columns.values(), strict=True))]
-    for study, points in ((study, study.points) for study in studies if study.points and study.points.labels):
-        theirs, ours = (_keys(zip(*(some[n] for n in points.names), strict=True)) for some in (study.axes, columns))
-        places = dict(zip(theirs, range(len(theirs)), strict=True))
-        known = [places.get((key, turn)) for (key, _), turn in zip(ours, turns, strict=True)]
+    ours = _keys(zip(*columns.values(), strict=True))
+    for grid, constants, places in sides:
+        points = grid.study.points
+        if points is None or not points.labels:
+            continue
+        if columns.keys() <= {*points.names}:  # also rows without points, as yet
+            theirs = _places_of_rows(grid.study, columns)
+        else:
+            along = np.unravel_index(places, grid.shape)[[*grid.dimensions].index(POINT)]
+            rows = (tuple({**constants, **p.parameters}[name] for name in columns) for p in grid.points(places))
+            theirs = dict(zip(_keys(rows), along.tolist(), strict=True))
         for name, cells in points.labels.items():
-            before = labels.get(name, [None] * len(turns))
-            labels[name] = [b if k is None else cells[k] for k, b in zip(known, before, strict=True)]
+            before = labels.get(name, [None] * len(ours))
+            labels[name] = [cells[theirs[key]] if key in theirs else b for key, b in zip(ours, before, strict=True)]
     return {name: labels_of(cells) for name, cells in labels.items()}
+
+
+def _places_of_rows(study: Study, names: Iterable[str]) -> dict[tuple[str, int], int]:
+    rows = zip(*(study.axes[name] for name in names), strict=True)
+    return {key: place for place, key in enumerate(_keys(rows))}
+
+
+def _are_relabelled(table: tuple[str, ...], *grids: Grid) -> bool:
+    """Return whether a row of a ``table`` has another label in one of two grids than in the other."""
+    one, other = (grid.study.points.labels if grid.study.points else {} for grid in grids)
+    both = one.keys() & other.keys()
+    if not both:
+        return False
+    mine, theirs = (_places_of_rows(grid.study, table) for grid in grids)
+    pairs = [(mine[key], theirs[key]) for key in mine.keys() & theirs.keys()]
+    return any(str(one[name][k]) != str(other[name][j]) for name in both for k, j in pairs)
 
 
 def _keys(rows: Iterable[Row]) -> list[tuple[str, int]]:

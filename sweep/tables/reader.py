@@ -35,6 +35,9 @@ _ICRF = re.compile(
 )
 
 
+# A table of IPAC begins with its keywords, or with names and types between bars.
+_IPAC = re.compile(r"\\|\|.*\|\s*\n\|[ -]*(char|date|double|float|real|int|long|[cdfril])[ -]*\|")
+
 # A row of Hipparcos-2, hip2.dat of CDS I/311, and where the columns begin and end that astrometry needs.
 _HIP2 = re.compile(r"(?=.{270})[ \d]{5}\d +\d+ \d \d +\d\.\d{10} [ -]\d\.\d{10} ")
 _HIP2_COLUMNS = {
@@ -144,7 +147,7 @@ def _text(path: Path, content: bytes, texts: Collection[str]) -> Any:
         text = content.decode("latin-1")
     if not text.strip():
         raise SweepError("has no rows")
-    if text.startswith("\\"):
+    if _IPAC.match(text):
         return _by_astropy("ascii.ipac", text)
     if "byte-by-byte description" in text[:100_000].lower():
         return _by_astropy("ascii.mrt", text.splitlines())

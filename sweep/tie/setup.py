@@ -5,7 +5,7 @@ done to the rows, and the unknowns; of a Parquet table of millions of quasars on
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
-from itertools import permutations, product
+from itertools import pairwise, permutations, product
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from linksweep.core.tie.astrometry import Astrometry, kinds, named_rows
 from linksweep.core.tie.forecast import releases_at
 from linksweep.core.tie.noise import ALL, ESTIMATE
 from linksweep.core.tie.problem import Problem, StreamedSources, sources_of
-from linksweep.core.unknowns import Unknowns, parse_unknowns, require_mission_name, spin_block, spin_by_bin
+from linksweep.core.unknowns import SpinByBin, Unknowns, parse_unknowns, require_mission_name, spin_block, spin_by_bin
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.executor import Map
 from linksweep.sweep.formatting import first_of, split_assignment
@@ -667,7 +667,13 @@ def unknowns_for(options: Options, problem: Problem, notes: list[str]) -> Unknow
         if not any(name.startswith(f"{mission}:") for name in of_missions):
             names += _determined(problem, names, mission)
     bins = parse_bins(options.bins)
-    return parse_unknowns(",".join(names), bins if options.bins else None, problem.satellite.columns, missions=missions)
+    columns = problem.satellite.columns
+    unknowns = parse_unknowns(",".join(names), bins if options.bins else None, columns, missions=missions)
+    for block in (block for block in unknowns.blocks if isinstance(block, SpinByBin)):
+        if empty := sorted({*pairwise((-np.inf, *block.edges, np.inf))} - {*block.bins}):
+            said = ", ".join(f"[{low:g},{high:g})" for low, high in empty)
+            notes.append(f"no source has {block.column} in {said}, for which there is no spin")
+    return unknowns
 
 
 def _determine(problem: Problem, names: Sequence[str]) -> bool:

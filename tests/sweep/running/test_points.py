@@ -215,6 +215,20 @@ def test_rows_of_any_labels_grow_are_corrected_and_come_together_from_parts(tmp_
         assert (again.x.values.tolist(), str(again.label.values.tolist())) == (columns["x"], str(got))
 
 
+@pytest.mark.parametrize("wells", [("AB", "CD"), ("AB", "AB"), ("", "CD")])
+def test_labels_are_those_of_the_points_of_their_tables(tmp_path, wells):
+    expected = {}
+    for temp, names in zip((1.0, 2.0), wells, strict=True):
+        rows = (
+            {"points": {"x": [1.0, 3.0], "well": [*names]}, "labels": "well"} if names else {"axes": {"x": [1.0, 3.0]}}
+        )
+        expected |= dict(zip([(1.0, temp), (3.0, temp)], names or ("", ""), strict=True))
+        fixed = {"temp": temp}
+        linksweep.run(lambda x, temp=0.0: x * temp, tmp_path / "s", fixed=fixed, keep=True, pool="serial", **rows)
+    frame = linksweep.open(tmp_path / "s").to_dataframe().reset_index()
+    assert dict(zip(zip(frame.x, frame.temp, strict=True), frame.well, strict=True)) == expected
+
+
 def test_a_table_beside_another_on_whose_column_there_is_an_axis_joins_it(tmp_path):
     model, _ = counting()
     run(model, tmp_path / "s.zarr", points={"x": [1.0, 2.0]}, axes={"k": [1, 2]})

@@ -188,7 +188,7 @@ def test_hipparcos_2_with_its_readme(tmp_path):
 
 def test_floats_are_read_to_the_last_bit(tmp_path):
     values = np.random.default_rng(1).normal(size=2000) * 10.0 ** np.arange(-30, 30).repeat(34)[:2000]
-    for name, form in (("t.csv", "ascii.csv"), ("t.ecsv", "ascii.ecsv")):
+    for name, form in (("t.csv", "ascii.csv"), ("t.ecsv", "ascii.ecsv"), ("t.tbl", "ascii.ipac")):
         Table({"x": values}).write(tmp_path / name, format=form)
         np.testing.assert_array_equal(read_table(tmp_path / name)["x"], values)
 

@@ -106,6 +106,11 @@ def test_the_dataset_states_its_epoch_units_spins_by_bins_and_large_shares(tmp_p
     assert len(link.attrs["satellite_sha256"]) == 64
     binned = tie(satellite, reference, bins=("phot_g_mean_mag", [6.0, 8.0]))
     np.testing.assert_allclose(binned.spin_by_bin, [omega] * 3, atol=1e-5)
+    assert not any("there is no spin" in note for note in binned.attrs["notes"])
+    (said,) = [
+        n for n in tie(satellite, reference, bins=("phot_g_mean_mag", [-5.0, 8.0, 40.0])).notes if "no spin" in n
+    ]
+    assert "in [-inf,-5), [40,inf)" in said
     made.errors[:, 7] /= 300.0
     heavy = tie(gaia(tmp_path / "s.ecsv", made), gaia(tmp_path / "r.ecsv", made))
     assert any(str(10**17 + 7) in note and "% of the weight" in note for note in heavy.attrs["notes"])
