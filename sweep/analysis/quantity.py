@@ -53,6 +53,8 @@ SHARES_RANDOM_NUMBERS, SHARED_AXES = "common_random_numbers", "shared_axes"
 
 def quantities(dataset: xr.Dataset) -> list[str]:
     """Return the variables that are results of their own: numbers at each point, not errors, predictions or samples."""
+    if "status" not in dataset:
+        raise SweepError("there is no variable status, which says at which points there are results: keep it")
     axes = set(dataset["status"].dims)
     numbers = [str(n) for n, v in dataset.data_vars.items() if _is_number(dataset, str(n)) and axes <= set(v.dims)]
     covariances = [f"{COVARIANCE_SUFFIX}_{str(axis).removesuffix('_other')}" for axis in dataset.coords]

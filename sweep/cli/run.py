@@ -442,7 +442,7 @@ def status(store: "Location" = cli.STORE, as_json: bool = cli.JSON) -> None:
         for reason in progress.reasons_of(failures).in_words():
             cli.print_wrapped(reason, "  ", "    ")
         if len(failures) > 1:
-            cli.put("sweep status --json has all of them")
+            cli.put(f"sweep status --json {name} has all of them")
     programs = ", ".join(f"{name} {made['versions'][name]}" for name in DECIDING if name in made["versions"])
     commit = f" at commit {made['git_commit'][:12]}" if "git_commit" in made else ""
     since = made.get("started", "an unknown time").replace("T", " ").replace("+00:00", " UTC")

@@ -456,7 +456,7 @@ class TerminalProgress(Progress):
             name = typed(store)
             SENTENCES.error(
                 f"{failed_points(failures)}; "
-                f"`sweep status {name}` names them and says why, `sweep run --retry {name}` tries them again, "
+                f"`sweep status {name}` says why, `sweep run --retry {name}` tries them again, "
                 f"`sweep reproduce {name} --at POINT` runs one here"
             )
 

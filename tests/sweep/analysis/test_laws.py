@@ -153,6 +153,7 @@ def law_of(dataset, variable="width", over="n"):
         (law_of(grid(N), "widht"), "no quantity 'widht'; did you mean 'width'"),
         (law_of(grid(N), "status"), "no quantity 'status'"),
         (law_of(WORDS, "words"), "no numbers"),
+        (law_of(grid(N)[["width"]]), "no variable status"),
         (law_of(grid(N), "width", "model"), "'model' is no axis with several numbers of width; there are n"),
         (law_of(grid(-N)), "width must be above 0; it is -10 at model=old, n=10"),
         (law_of(grid(N, x=N - 10.0)), "a power law needs n above 0; there is 0"),
