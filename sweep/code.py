@@ -440,8 +440,11 @@ class Reach:
                     file = file or inner.__code__.co_filename  # the cell of a notebook
                 elif not name.startswith(PYTHONS) and inner is not None:
                     text += self._refer(f"{label}.{name}", inner)
-        for node in _index(tree_of(file, names))[f"class {cls.__name__}"]:
+        index = _index(tree_of(file, names))
+        nodes = index[f"class {cls.__name__}"]
+        for node in nodes or index[cls.__name__][:1]:  # a class that is made by a call
             self.places[f"class {label}"] = f"{file}, line {node.lineno}"
+        for node in nodes:
             members = [one for one in node.body if not isinstance(one, DEFINITIONS)] or [ast.Pass()]
             alone = {**dict(ast.iter_fields(node)), "bases": [], "keywords": [], "body": members}
             text += self._text([ast.ClassDef(**alone)], names)
@@ -1137,5 +1140,7 @@ def code_differences(old: Mapping[str, str], new: Mapping[str, str], was: str, n
         how = "has changed" if DIGEST.search(f"{before} {after}") else f"is {before} {was}, {after} {now}"
         if not before or not after:
             how = f"is only {was if before else now}"
-        phrases.append(f"{name} ({_places[name]}) {how}" if name in _places else f"{name} {how}")
+        owner = f"class {name.removeprefix('value ').rpartition('.')[0]}"  # of what a class has besides statements
+        place = _places.get(name) or _places.get(owner)
+        phrases.append(f"{name} ({place}) {how}" if place else f"{name} {how}")
     return phrases
