@@ -145,6 +145,10 @@ def _read_signature(function: Callable[..., Any], problems: list[str]) -> "Funct
     arguments: Mapping[str, inspect.Parameter] = {}
     try:
         arguments = {} if problems else inspect.signature(function, eval_str=True).parameters
+        names = dict(getattr(inspect.unwrap(call), "__globals__", {}))
+        quoted = {name: one for name, one in arguments.items() if isinstance(one.annotation, str)}  # a text in a text
+        within = {name: one.replace(annotation=eval(one.annotation, names)) for name, one in quoted.items()}
+        arguments = {**arguments, **within}
     except Exception as error:  # whatever an annotation is that is written as a text
         problems.append(f"Python cannot read its signature: {error}; {wrap}")
     if (first := next(iter(arguments), "")) in ("self", "cls") and "." in getattr(function, "__qualname__", ""):
@@ -166,8 +170,6 @@ def _parameter(argument: inspect.Parameter) -> Parameter:
     Its default is None where that of the argument is no value that a study can write: then the call leaves it out.
     """
     name, annotation = argument.name, argument.annotation
-    if isinstance(annotation, str):  # in quotes, where `from __future__ import annotations` makes texts of all
-        annotation = argument.empty
     required = argument.default is argument.empty
     default = None if required else argument.default
     if isinstance(default, np.generic):

@@ -74,6 +74,16 @@ def _words(name: str) -> str:
     return WORDS.get(name) or f"{100.0 * (quantile_of(name) or 0.0):g} % quantile"
 
 
+def unknown(name: str, field: Field) -> str:
+    """Return where the error of a statistic is NaN, in words; '' for nowhere."""
+    if (level := quantile_of(name)) is not None:
+        return f"below {fewest_for(level)} realisations, and where values repeat around the quantile"
+    if field.type == "bool":
+        return ""
+    fewest = FEWEST_SAMPLES if name == "mean" else FEWEST_FOR_STD
+    return f"below {fewest} realisations, and where all are alike or one outweighs all others"
+
+
 def moments_of(values: Array) -> Array:
     """Return the moments of realisations (n, size), shape (MOMENTS, size)."""
     mean = values.mean(axis=0)
@@ -302,7 +312,9 @@ class Moments(Reducer):
                     value = replace(value, unit="")
                 made.append(value)
                 if name not in ("min", "max"):
-                    error = f"one-sigma Monte-Carlo error of {value.name}, NaN where it is not known"
+                    error = f"one-sigma Monte-Carlo error of {value.name}"
+                    if where := unknown(name, field):
+                        error += f"; not known (NaN) {where}"
                     made.append(replace(value, name=f"{value.name}_mc_error", meaning=error, headline=False))
         return tuple(made)
 
