@@ -405,4 +405,4 @@ def _watching(study: Study, progress: watching.Progress | None) -> AbstractConte
         return watching.NotebookProgress(study, bar=False)
     if sys.stderr is not None and sys.stderr.isatty():
         return watching.TerminalProgress(study)
-    return nullcontext(watching.Progress())
+    return nullcontext(watching.SILENT)

@@ -32,7 +32,8 @@ class Pool(NamedTuple):
     def open(self, *arguments: Any) -> Any:
         """Return a context manager that gives the place and the executor of an experiment with this reference.
 
-        The arguments are the reference and the number of workers, for `DASK` the resources and who says it.
+        The arguments are the reference and the number of workers, for processes also limits, for `DASK` the resources
+        and who says it.
         """
         module, _, name = self.opener.partition(":")
         return getattr(import_module(module), name)(*arguments)

@@ -309,20 +309,20 @@ class Progress:
 
     def start(self, survey: Survey, where: str, workers: int | None) -> None:
         """Work begins, at the place that ``where`` names, with so many workers if that is known."""
-        return
 
     def advance(self, works: Sequence[Work], result: TaskResult, taken: Taken) -> None:
         """A task's result is in the ledger."""
-        return
 
     def written(self) -> None:
         """All results are on disk; the workers are about to end."""
-        return
 
     def say(self, text: str) -> None:
         """Tell something in a sentence; log a warning."""
         if text.startswith("warning: "):
             SENTENCES.warning(text)
+
+
+SILENT = Progress()
 
 
 class TerminalProgress(Progress):

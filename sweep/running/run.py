@@ -30,7 +30,7 @@ from linksweep.sweep.planning.accumulator import TUNED, Accumulator, Pending
 from linksweep.sweep.planning.grid import AT_ONCE, Grid, GridPoint, describe, failures_by_place, make_grid
 from linksweep.sweep.planning.plan import TARGET, Plan, PlanSize, Survey, Work
 from linksweep.sweep.planning.union import REFINED, UNITED, united, with_numbers_of
-from linksweep.sweep.running.progress import FIRST, FailureCount, MaxFailures, Progress, Taken
+from linksweep.sweep.running.progress import FIRST, SILENT, FailureCount, MaxFailures, Progress, Taken
 from linksweep.sweep.running.results import Labelled, add_covariances, assemble, assemble_samples, code_variable, masked
 from linksweep.sweep.stores.ledger import Record
 from linksweep.sweep.stores.location import Where, locked, writing
@@ -762,7 +762,7 @@ class Session:
     def compute(
         self,
         execute: Executor,
-        progress: "Progress | None" = None,
+        progress: Progress = SILENT,
         max_failures: MaxFailures | None = None,
         postponed: Callable[[], AbstractContextManager[None]] = nullcontext,
     ) -> None:
@@ -771,7 +771,6 @@ class Session:
         ``postponed`` gives contexts in which interruptions wait.  Raises SweepError for results that are refused, and
         whatever the executor raises, with everything that was finished in the store.
         """
-        progress = progress or Progress()
         total, pending = self.survey.total.points, self.survey.pending
         failing = FailureCount(self.study, total, total - pending.points, most=max_failures)
         writer = self._writer = Writer(self.accumulator, self._begun(progress), postponed)
@@ -802,7 +801,7 @@ class Session:
                         self._too_many = too_many
                         break
 
-    def publish(self, progress: "Progress | None" = None) -> tuple[Labelled, dict[str, str]]:
+    def publish(self, progress: Progress = SILENT) -> tuple[Labelled, dict[str, str]]:
         """Write the dataset of everything that was computed; return the results of the points of the study that was
         asked for, and its failures by place.
 
@@ -814,7 +813,6 @@ class Session:
             dataset = writer.write(final=not self._too_many)
         writer.require_whole()
         results = (dataset, writer.failures()) if self._asked is None else self.part()
-        progress = progress or Progress()
         progress.written()
         for sentence in json.loads(results[0].attrs["warnings"])[len(writer.plan.grid.warnings) :]:
             progress.say(f"warning: {sentence}")
@@ -822,7 +820,7 @@ class Session:
             raise TooManyFailuresError(f"stopped: {self._too_many}; {GOES_ON}", str(writer.store.location))
         return results
 
-    def _begun(self, progress: "Progress") -> Store:
+    def _begun(self, progress: Progress) -> Store:
         """Return the store, a new one if need be, which is found whole and says which code continues it."""
         study, store = self.study, self.store
         if store is None:
@@ -920,7 +918,7 @@ def run_study(
     study: Study,
     store: Where,
     resources: Resources = ANY_RESOURCES,
-    progress: Progress | None = None,
+    progress: Progress = SILENT,
     retry: bool = False,
     break_lock: bool = False,
     accept_code: bool = False,
@@ -938,7 +936,6 @@ def run_study(
     everything that was finished in the store TooManyFailuresError where more than ``max_failures`` fail, by default
     where the first points all fail for one reason, and RunInterruptedError on SIGINT, SIGTERM and SIGHUP.
     """
-    progress = progress or Progress()
     grid = make_grid(study)
     for sentence in grid.warnings:
         progress.say(f"warning: {sentence}")
