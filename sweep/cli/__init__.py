@@ -339,6 +339,11 @@ RESULTS: list[Any] = [None]
 atexit.register(gc.freeze)
 
 
+HOW_TO_SET = """a function is FILE.py:NAME; --axis NAME=1,2,3 or --axis NAME=0:1:0.1 gives a parameter values,
+--set NAME=VALUE one, also n_sim and seed
+"""
+
+
 class _Group(click.Group):
     """Lists its commands by what they are for; turns a SweepError of any command into one message and exit code 2, and
     a signal into exit code 128 plus its number.
@@ -388,7 +393,9 @@ class _Group(click.Group):
         except click.UsageError as error:
             click.echo(f"error: {error.format_message()}", err=True)
             command = error.ctx.command_path if error.ctx else ctx.command_path
-            click.echo(f"see {command} --help", err=True)
+            is_set_wrong = isinstance(error, click.NoSuchOption) or "unexpected extra" in error.message
+            hint = HOW_TO_SET if command == "sweep run" and is_set_wrong else ""
+            click.echo(f"{hint}see {command} --help", err=True)
             sys.exit(error.exit_code)
         except linksweep.SweepError as error:
             where, problems = f"{error.where.translate(ESCAPED)}: " if error.where else "", error.problems
