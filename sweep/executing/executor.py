@@ -27,13 +27,17 @@ from typing import IO, Any
 
 from threadpoolctl import threadpool_limits
 
-from linksweep.sweep.code import new_process, provide, sendable, source_digest
+from linksweep.sweep.code import load_experiment, new_process, provide, sendable, source_digest
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing import worker
 from linksweep.sweep.executing.pools import NO_LIMITS, Limits, Place, Resources, available_cores
 from linksweep.sweep.executing.task import AnyJob, Call, Executor, Failure, Identity, PointBlock, Task, TaskResult
 from linksweep.sweep.interrupt import SIGNALS
 from linksweep.sweep.studies.study import Study
+
+# Seconds of a first call above which the second, which shows whether it returns the same, is made by a further child:
+# it would delay what one of few has to do.
+BESIDE_S = 0.2
 
 # How often a block may end its child, when it is known which block it was.
 TRIES = 2
@@ -91,6 +95,8 @@ class Children:
         self._forked = forked and _may_be_forked()
         self._children: list[_Child] = []
         self._number = number
+        # Units and the result of a first call that is made again: the last child, beyond the number, does so.
+        self._first: tuple[list[PointBlock], TaskResult] | None = None
 
     def __enter__(self) -> "Children":
         return self
@@ -124,7 +130,14 @@ class Children:
 
     def __call__(self, take: Callable[[int], Sequence[AnyJob]]) -> Iterator[tuple[AnyJob, Any]]:
         """Compute everything that ``take`` gives."""
-        return self._results(lambda: next(((job, job.task(self._limits)) for job in take(1)), None))
+
+        def following() -> tuple[AnyJob, Task | Call] | None:
+            for job in take(1):
+                task: Task | Call = job.task(self._limits)
+                return job, replace(task, at_once_s=BESIDE_S) if isinstance(task, Task) else task
+            return None
+
+        return self._results(following)
 
     def run(self, task: Task) -> TaskResult:
         """Compute one task."""
@@ -151,7 +164,16 @@ class Children:
                     for place in self._that_answer(under_way):
                         job, trial = under_way[place]
                         self._go_on(place, trial)
-                        if trial.ended:
+                        if trial.again is not None and self._first is None:  # once in a run is enough
+                            self._first = trial.again
+                            self._children += self._started(1)
+                            under_way[self._number] = job, _Trial(_second(trial.task, self._first[0]))
+                            self._send(self._number, under_way[self._number][1])
+                        if trial.ended and place == self._number:
+                            del under_way[place]
+                            if refused := self._how_it_differs(trial.result()):
+                                yield job, replace(TaskResult.failed(0), refused=refused)
+                        elif trial.ended:
                             del under_way[place]
                             if self._number > 1:  # of several none waits while a result is used; one may be the last
                                 begin(place)
@@ -165,6 +187,18 @@ class Children:
         for place in range(self._number):  # now, not when the first result is asked for
             begin(place)
         return results()
+
+    def _how_it_differs(self, second: TaskResult) -> str:
+        """Return a sentence if a second call gave other results than the first, '' where it had none to compare."""
+        assert self._first is not None, "there is a second call"
+        units, first = self._first
+        experiment = load_experiment(self._reference, digest=self._digest)
+        raised = [one.message.partition(":")[0] for one in second.failures.values() if one.kind == "exception"]
+        if second.failures and not raised:
+            return ""
+        return worker.how_calls_differ(
+            experiment, units, list(first.outcomes.values()), list(second.outcomes.values()), *raised[:1]
+        )
 
     def _that_answer(self, places: Any) -> list[int]:
         """Return which children have answered or ended; end those that overfill their memory."""
@@ -213,6 +247,7 @@ class _Trial:
         self.units: deque[Any] = deque(task.units if isinstance(task, Task) else [task])
         self.results: list[Any] = []
         self.careful, self.ended = task.time_limit_s is not None, False
+        self.again: tuple[list[PointBlock], TaskResult] | None = None
         self.inside = self._deaths = 0
 
     def rest(self) -> Task | Call:
@@ -226,9 +261,12 @@ class _Trial:
             self.results.append(result)
             rows = len(result.seconds) if isinstance(result, TaskResult) else 1
             self.inside = max(0, self.inside - rows)
+            units = []
             while rows > 0:
-                unit = self.units.popleft()
-                rows -= len(unit.points) if isinstance(unit, PointBlock) else 1
+                units.append(self.units.popleft())
+                rows -= len(units[-1].points) if isinstance(self.task, Task) else 1
+            if isinstance(result, TaskResult) and result.again:
+                self.again = units, result
 
     def after_death(self, death: Failure) -> None:
         """Find out which point has ended a child, and give that up after so many `TRIES`; raises SweepError for a call,
@@ -254,6 +292,12 @@ class _Trial:
     def result(self) -> Any:
         """Return the result of the task: the last units have none where it took too long."""
         return TaskResult.joined(self.results) if isinstance(self.task, Task) else self.results[0]
+
+
+def _second(task: Task | Call, units: list[PointBlock]) -> Task:
+    """Return the task of calling a function again, with other random numbers if it takes those of the process."""
+    assert isinstance(task, Task), "only functions of points are called again"
+    return replace(task, units=tuple(units), seed=task.seed ^ 1, repeatable=False)
 
 
 def _may_be_forked() -> bool:

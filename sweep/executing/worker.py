@@ -464,26 +464,41 @@ class _Computing:
         self, units: Sequence[PointBlock], first: Sequence[Outcome], seconds: float, result: TaskResult
     ) -> None:
         """Call a repeatable function again at the points of some units, whose ``first`` call took so many ``seconds``,
-        and say in their result if it differs.
+        and say in their result if it differs, or that another process is to do so.
         """
         if not self.task.repeatable or self.who in _agreed or seconds > LONGEST_S:
+            return
+        if seconds > self.task.at_once_s:
+            result.again = True
             return
         points = [self.experiment.defaults() | unit.points[0] for unit in units]
         # Other random numbers than at first, if it takes those of the process.
         again = self._outcomes(units[0], len(points), lambda: self.experiment.compute(points, 1, ()), turn=1)
         if isinstance(again, TimeLimitError):
             return
-        if isinstance(again, BaseException):
-            how = f"and then raises {type(again).__name__}"
-        else:
-            how = next(filter(None, map(_difference, first, again)), "")
-        if not how:
+        second, raised = ([], type(again).__name__) if isinstance(again, BaseException) else (again, "")
+        result.refused = how_calls_differ(self.experiment, units, first, second, raised)
+        if not result.refused:
             _agreed.add(self.who)
-            return
-        place = ", ".join(f"{name} = {shown(value)}" for name, value in points[0].items()) or "its only point"
-        many = f" and {len(units) - 1:,} more" if len(units) > 1 else ""
-        called = f"{self.experiment.name}: called twice at {place}{many}"
-        result.refused = f"{called}, it returns a result {how}. {WHAT_TO_DO}"
+
+
+def how_calls_differ(
+    experiment: Experiment,
+    units: Sequence[PointBlock],
+    first: Sequence[Outcome],
+    again: Sequence[Outcome],
+    raised: str = "",
+) -> str:
+    """Return a sentence if a second call at the points of some units gave other results than the first, or ``raised``
+    an exception; '' if it gave the same.
+    """
+    how = f"and then raises {raised}" if raised else next(filter(None, map(_difference, first, again)), "")
+    if not how:
+        return ""
+    point = experiment.defaults() | units[0].points[0]
+    place = ", ".join(f"{name} = {shown(value)}" for name, value in point.items()) or "its only point"
+    many = f" and {len(units) - 1:,} more" if len(units) > 1 else ""
+    return f"{experiment.name}: called twice at {place}{many}, it returns a result {how}. {WHAT_TO_DO}"
 
 
 def alike(units: Sequence[PointBlock]) -> Iterator[tuple[PointBlock, ...]]:

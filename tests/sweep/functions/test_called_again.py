@@ -50,6 +50,8 @@ def test_another_result_is_refused_by_name(kind, pool, tmp_path):
 @pytest.mark.parametrize("pool", ["processes", *map(slow, ["serial", "threads", None])])
 @pytest.mark.parametrize("last", [1, slow(5)])
 def test_so_it_is_where_a_call_takes_a_good_part_of_a_second(tmp_path, pool, last):
+    """On processes a further one makes the second call, whether others have work meanwhile or not."""
+
     def late(x: int):
         time.sleep(0.3)
         return x if x > last else random.SystemRandom().random()
