@@ -154,11 +154,9 @@ def with_stored(store: Store, study: Study, only: bool = False) -> tuple[Study, 
         return study, study, None
     document = json.loads(attributes["study_document"])
     # The same files, as the caller has found; that which the store names may have moved.
-    files = {one.name for one in study.experiment.parameters if one.kind in ("file", "files")} & document.get(
-        "fixed", {}
-    ).keys()
-    here = {name: raw for name, raw in study.document.get("fixed", {}).items() if name in files}
-    document["fixed"] = document.get("fixed", {}) | here
+    files = {one.name for one in study.experiment.parameters if one.kind in ("file", "files")}
+    fixed, here = (one.get("fixed", {}) for one in (document, study.document))
+    document["fixed"] = fixed | {name: here[name] for name in files & fixed.keys() & here.keys()}
     stored = recorded_study({**attributes, "study_document": json.dumps(document)}, where)
     study = with_numbers_of(stored, study)
     if only:

@@ -807,13 +807,12 @@ class Study:
         columns = () if self.points is None else self.points.names
         axes = {name: known[name].written(values) for name, values in self.axes.items()}
         table = None if self.points is None else self.points.written({name: axes.pop(name) for name in columns})
-        zipped, sampling = [list(names) for names in self.zipped], self.sampling
+        zipped = [list(names) for names in self.zipped]
+        sampling = self.sampling.model_dump(exclude_none=True, exclude_unset=True)
         values = {
             "axes": axes,
             "fixed": {name: known[name].written(value) for name, value in self.fixed.items()},
-            "sampling": {}
-            if self.experiment.deterministic
-            else sampling.model_dump(exclude_none=True, exclude_unset=True),
+            "sampling": {} if self.experiment.deterministic else sampling,
             "grid": {"zip": zipped} if zipped else {},
             "points": table,
             "exclude": [{one.name: one.written(known[one.name]) for one in clause} for clause in self.excluded],
