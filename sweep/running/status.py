@@ -87,7 +87,7 @@ class _Points:
         ``failed``: status, realisations, and which share of those that are wanted these are, 0 where it failed.  With a
         precision only the experiment can say which are done: those of the last writing.
         """
-        index, numbers = blocks.astype(np.int64)
+        index, numbers = blocks[:2].astype(np.int64)
         realisations = np.bincount(index, numbers, len(self.grid)).astype(np.int64)
         share = np.minimum(realisations / np.maximum(self.wanted, 1.0), 1.0)
         if self.is_adaptive and not is_new(opened.root):
@@ -98,11 +98,12 @@ class _Points:
         status[at[at >= 0]], share[at[at >= 0]] = FAILED, 0.0
         return [self.grid.with_repeats(one) for one in (status, realisations, share)]
 
-    def blocks(self, keys: NDArray[np.uint64]) -> NDArray[Any]:
-        """Return the point and the realisations of each block of this study with one of these keys, (2, blocks)."""
+    def blocks(self, keys: NDArray[np.uint64], seconds: NDArray[Any]) -> NDArray[Any]:
+        """Return the point, the realisations and the seconds of each block of this study with one of these keys."""
         index = self.find(keys[:, 0])
         good = (index >= 0) & (self.is_adaptive | np.isin(_mixed(keys[:, 2:]), self._ends))
-        return np.array([index[good], (keys[good, 3] & np.uint64(2**32 - 1)) * (keys[good, 3] >> np.uint64(32))])
+        numbers = (keys[:, 3] & np.uint64(2**32 - 1)) * (keys[:, 3] >> np.uint64(32))
+        return np.array([index, numbers, seconds])[:, good]
 
 
 def _numbers(digests: Iterable[bytes]) -> NDArray[np.uint64]:
@@ -133,7 +134,7 @@ def status_report(store: Where) -> dict[str, Any]:
     attributes, ledger = opened.attributes, opened.ledger()
     points = _Points(attributes, str(location))
     study, grid = points.study, points.grid
-    blocks = points.blocks(_numbers(ledger.rows.keys_of_rows()).reshape(-1, 4))
+    blocks = points.blocks(_numbers(ledger.rows.keys_of_rows()).reshape(-1, 4), ledger.seconds())
     status, realisations, _ = points.progress(opened, blocks, ledger.failures)
     is_written = ledger.manifest == manifest_of(opened.root)
     complete = is_written and bool(np.isin(status, (DONE, EXCLUDED)).all())
@@ -238,7 +239,9 @@ class Watched:
         self.reasons: list[tuple[int, Record]] = []
         self._places: list[str] = []
         self._is_written = False
-        self._first = self._last = (0.0, 0.0, 0)  # when so much cost was left, and so many points or realisations done
+        self._ended = math.inf  # points or realisations
+        # The first and the last delivery: when, the cost that was left then, what had ended, and how many blocks.
+        self._seen: list[tuple[float, float, int, int]] = []
         self.status, self.share = np.zeros(0, dtype=np.int8), np.zeros(0)
 
     @property
@@ -298,16 +301,20 @@ class Watched:
         self.reasons = [(points, by_place[place]) for points, place, _ in reasons.most()]
         new = [part for part in manifest.parts if part.rows.name not in self._parts]
         keys = zip(new, read_keys(self.location, new), strict=True)
-        known = self._parts | {part.rows.name: points.blocks(one) for part, one in keys}
+        known = self._parts | {part.rows.name: points.blocks(*one) for part, one in keys}
         self._parts = {part.rows.name: known[part.rows.name] for part in manifest.parts}
         self._is_written = manifest == manifest_of(opened.root)
-        blocks = np.hstack([np.zeros((2, 0), dtype=np.int64), *self._parts.values()])
+        blocks = np.hstack([np.zeros((3, 0)), *self._parts.values()])
         self.status, realisations, self.share = points.progress(opened, blocks, failed)
         left = float((points.cost * (1.0 - self.share))[self.status == MISSING].sum())
         ended = int(np.isin(self.status, (DONE, FAILED)).sum() if points.noun == "points" else realisations.sum())
-        self._last = time.monotonic(), left, ended
-        if not self._first[0] or ended < self._first[2]:
-            self._first = self._last
+        now = time.monotonic(), left, ended, blocks.shape[1]
+        if ended > self._ended:
+            self._seen = [*self._seen[:1], now]
+            self._longest = np.fmax.reduce(blocks[2, self._seen[0][3] :], initial=0.0)
+        elif ended < self._ended:  # a first look is somewhere between two deliveries, unless there was none yet
+            self._seen = [] if ended else [now]
+        self._ended = ended
 
     @property
     def progress(self) -> str:
@@ -325,8 +332,10 @@ class Watched:
     @property
     def speed(self) -> str:
         """The speed and the time left of a run, '' while they are not known."""
-        (then, before, first), (now, after, last) = self._first, self._last
-        if self.state != "running" or now <= then or self._points is None:
+        if self.state != "running" or len(self._seen) < 2 or self._points is None:
+            return ""
+        (then, before, first, _), (now, after, last, _) = self._seen
+        if now - then < 2.0 * self._longest:  # what workers had begun before counts as much
             return ""
         speed = per_second(last - first, now - then, self._points.noun)
         left = after * (now - then) / (before - after) - (time.monotonic() - now) if before > after else 0.0

@@ -547,15 +547,17 @@ class Ledger:
         self._recent[part.rows.name] = blocks, np.cumsum(_counts(blocks[0]))
 
 
-def read_keys(location: Location, parts: Sequence[LedgerPart]) -> list[NDArray[np.uint64]]:
-    """Return the keys of the rows of each part, (records, 4) numbers of 8 bytes, zeros for a row that was lost.
+def read_keys(location: Location, parts: Sequence[LedgerPart]) -> list[tuple[NDArray[np.uint64], Array]]:
+    """Return the keys of the rows of each part, (records, 4) numbers of 8 bytes, zeros for a row that was lost, and how
+    long each row took.
 
     Nothing else of the rows is looked at.  Raises ValueError where a file is missing or not what was written.
     """
     contents = location.get_all([path_of(part.rows) for part in parts])
     raw = [_raw(part.rows, contents.pop(path_of(part.rows))) for part in parts]
-    counts = [part.records * KEY_BYTES // 8 for part in parts]
-    return [np.frombuffer(one, "<u8", n).reshape(-1, KEY_BYTES // 8) for one, n in zip(raw, counts, strict=True)]
+    read, width = np.frombuffer, KEY_BYTES // 8
+    pairs = [(one, part.records) for one, part in zip(raw, parts, strict=True)]
+    return [(read(o, "<u8", n * width).reshape(-1, width), read(o, "<f8", n, n * KEY_BYTES)) for o, n in pairs]
 
 
 def read_failures(location: Location, manifest: Manifest) -> dict[bytes, Record]:

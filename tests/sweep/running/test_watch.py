@@ -9,6 +9,7 @@ import shutil
 import subprocess
 import sys
 from contextlib import suppress
+from types import SimpleNamespace
 
 import pytest
 from hypothesis import given, settings as examples_of, strategies as st
@@ -127,6 +128,27 @@ def test_a_store_that_comes_runs_ends_and_goes(coins, place):
     run(coins | {"axes": {"coins": [1, 5]}}, place)
     watched.look()
     assert watched.progress == "2 of 2 points done"
+
+
+@pytest.mark.parametrize("step", [5.0, 1e-9], ids=["of quick blocks", "of blocks that take longer than was looked"])
+def test_speed_is_that_from_one_delivery_to_the_next(tmp_path, monkeypatch, step):
+    watched, speeds, clock = watch.Watched(tmp_path / "s.zarr"), [], 0.0
+    monkeypatch.setattr(watch, "time", SimpleNamespace(monotonic=lambda: clock))
+
+    class Looking(Progress):
+        def advance(self, works, result, taken):
+            nonlocal clock
+            speeds.append("")
+            clock = step * (2.9 if len(speeds) == 2 else len(speeds))  # the first look is just before a delivery
+            if len(speeds) > 1:
+                watched.look()
+                speeds[-1] = watched.speed
+
+    (tmp_path / "f.py").write_text("def f(x: int):\n    return x\n")
+    document = {"title": "f", "experiment": f"{tmp_path}/f.py:f", "axes": {"x": list(range(10))}}
+    run(document, tmp_path / "s.zarr", OFTEN, progress=Looking())
+    lines = [f"{10 * n} % of the work, 0.2 points/s, about {50 - 5 * n} s left" for n in range(4, 10)]
+    assert speeds[:9] == ["", "", "", *(lines if step > 1.0 else [""] * 6)]
 
 
 def test_looking_writes_nothing_and_what_is_damaged_or_replaced_meanwhile_is_said(sweep_here, coin_store, tmp_path):
