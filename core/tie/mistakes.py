@@ -510,9 +510,8 @@ def _ratio(problem: Problem | None, typical: bool = False) -> float:
     """Return chi2 over its expectation, or that of the typical source; infinite where there is no solution."""
     if problem is None:
         return np.inf
-    sums = source_sums(problem)
     try:
-        solution = solve(sums)
+        solution = solve(sums := source_sums(problem))
     except LinkError:
         return np.inf
     value = np.median(_each(sums, solution)[sums.count > 0]) if typical else solution.scale**2
