@@ -40,7 +40,7 @@ FIRST_ORDER = 5.0
 STARTS = (0.5, 2.0, 6.0)  # first guesses of the rate, times the range of the points; the best fit is kept
 
 # Where a condition is met along a line: at no point, at all points, from or up to one crossing, between several.
-# Lines are left out if the study excludes them, or if their unit cannot be converted to that of the limit.
+# Lines are left out that have less than two points, or a unit that cannot be converted to that of the limit.
 MET_WORDS = ("never", "always", "from", "up to", "several times", "left out")
 NEVER, ALWAYS, FROM, UP_TO, SEVERAL, LEFT_OUT = range(len(MET_WORDS))
 
@@ -550,8 +550,10 @@ def find(dataset: xr.Dataset, limit: Limit | str, over: str, covariance: xr.Data
     made = lines(dataset, limit.variable, over, covariance, least=1)
     thresholds = made.thresholds(limit)
     rows = [_cross(line, limit, thresholds.get(line.unit, np.nan), made.over_unit) for line in made.lines]
+    axis = np.unique(quantity.numbers(dataset, over))
     for row, line in zip(rows, made.lines, strict=True):
-        row["conclusion"] = _crossing_in_words(row, made.over_unit, line, thresholds.get(line.unit, np.nan))
+        words = _crossing_in_words(row, made.over_unit, line, thresholds.get(line.unit, np.nan))
+        row["conclusion"] = words + _part_in_words(line.x, axis[np.isfinite(axis)])
     notes = [f"{limit} along {over}; errors: {made.errors}"]
     result = made.dataset(rows, ["conclusion"], notes, result="crossings", condition=str(limit))
     flags = {"flag_values": list(range(len(MET_WORDS))), "flag_meanings": ", ".join(MET_WORDS)}
@@ -615,7 +617,8 @@ def _cross(line: Line, limit: Limit, threshold: float, over_unit: str) -> dict[s
     """Return the numbers of one line, which are the variables of `find`."""
     names = ("first", "first_error", "last", "last_error", "nearest", "nearest_error", "nearest_at")
     row: dict[str, Any] = {"met": LEFT_OUT, "crossings": 0} | dict.fromkeys(names, np.nan)
-    if np.isnan(threshold) or not len(line.x):
+    # One point is a line only where the axis has no effect.
+    if np.isnan(threshold) or (len(line.x) < 2 and not np.isnan(line.x).any()):
         return row
     met = limit.is_met(line.y, threshold)
     flips = np.flatnonzero(met[1:] != met[:-1]).tolist()
@@ -902,3 +905,11 @@ def _crossing_in_words(row: Mapping[str, Any], unit: str, line: Line, threshold:
     nearest, undecided = with_unit(row["nearest"], row["nearest_error"], line.unit), (~line.decided(threshold)).sum()
     doubt = f"; not decided: {undecided} of {len(line.x)} points are within {SURE:g} errors of it" if undecided else ""
     return f"{words}; {nearest}{where} is nearest to the limit{doubt}"
+
+
+def _part_in_words(x: Array, axis: Array) -> str:
+    """Return which part of an axis the points of a line cover, as the end of a sentence; '' if they cover all of it."""
+    if not len(x) or np.isnan(x[0]) or (x[0] <= axis[0] and x[-1] >= axis[-1]):
+        return ""
+    first, last, *_ = plain([x[0], x[-1], *axis.tolist()])
+    return f"; only 1 of {len(axis)} points: {first}" if len(x) == 1 else f"; points go only from {first} to {last}"

@@ -294,19 +294,12 @@ def test_a_plain_function_has_claims_a_conclusion_and_published_numbers(tmp_path
 
 def test_published_numbers_stand_at_the_point_that_is_meant_also_if_it_is_excluded(tmp_path):
     (tmp_path / "p.csv").write_text("release,k,w\n1.10,1,4\n1.1,2,3\n1.20,1,9\n007,1.0,5\n1.1,1,7\n")
-    axes = {"release": ["1.1", "1.10", "1.2", "007", "nan"], "k": [1, 2]}
-    study = {
-        "experiment": lambda release, k: {"w": len(release)},
-        "axes": axes,
-        "exclude": [{"release": "1.1", "k": 1}],
-    }
+    study = {"experiment": lambda release, k: {"w": len(release)}, "exclude": [{"release": "1.1", "k": 1}]}
+    study["axes"] = {"release": ["1.1", "1.10", "1.2", "007", "nan"], "k": [1, 2]}
     study["published"] = {"file": str(tmp_path / "p.csv"), "source": "Table 2"}
     dataset = linksweep.run(study, tmp_path / "s", pool="serial")
     assert dataset["w_published"].sel(k=1).fillna(0).values.tolist() == [7, 4, 0, 5, 0]
     assert dataset["w_published"].attrs["outside_grid"] == 1
     judged = {(c.where["release"], c.where["k"]): c.verdict for c in compare(dataset)}
-    assert (judged["1.1", 1], judged["1.1", 2], judged["1.10", 1]) == (
-        "incomplete",
-        "reproduced",
-        "reproduced",
-    )
+    wanted = {("1.1", 1): "incomplete", ("1.1", 2): "reproduced", ("1.10", 1): "reproduced"}
+    assert judged.items() >= wanted.items()

@@ -50,6 +50,12 @@ def test_a_covariance_is_that_of_the_dataset_or_of_the_call_and_of_the_points_th
     assert without["exponent"].values == pytest.approx([-0.5, np.nan], nan_ok=True)
     rows = list(zip(without["points"].values, without["conclusion"].values, strict=True))
     assert rows == [(4.0, "as expected"), (0.0, "excluded by the study")]
+    found = find(grid(N, status=[[DONE] + [EXCLUDED] * 4, [DONE] * 2 + [EXCLUDED] * 3]), "width > 500", "n")
+    words = (
+        "left out; only 1 of 5 points: 10",
+        "never; 20 mas at 20 is nearest to the limit; points go only from 10 to 20",
+    )
+    assert (met(found), tuple(found["conclusion"].values)) == (["left out", "never"], words)
     part = fit_power_law(shared.isel(n=slice(1, None), n_other=slice(1, None)), "width", "n")
     assert without["exponent_error"].values[0] == pytest.approx(part["exponent_error"].values[0], rel=1e-12)
 
