@@ -35,6 +35,9 @@ LONGEST_REASON = 200
 # A run ends where so many first points all fail for the same reason; a percentage is that of at least so many.
 FIRST = 20
 
+# Columns of a terminal below which there is no bar, only its line.
+NARROW = 72
+
 NUMBER = re.compile(r"0x[0-9a-f]+|[-+]?(?:\d[\d_,]*\.?\d*|\.\d+)(?:e[-+]?\d+)?", re.IGNORECASE)
 
 
@@ -362,7 +365,7 @@ class TerminalProgress(Progress):
         self._count = FailureCount(self._study, total.points, total.points - pending.points, survey.failed)
         self._failures = self._count.failed
         self._write("started", points=total.points, done=self._count.done, failed=survey.failed, where=where)
-        self._work = pending.cost
+        self._work, self._stored = pending.cost, survey.stored.cost / max(total.cost, 1e-9)
         kept = f", {self._count.done:,} of them in the store already" if self._count.done else ""
         to_do = f"; {self._counted(pending)} to do {where}" if pending.blocks else ""
         self.say(f"{counted(total.points, 'point')}{kept}{failed_before(survey.failed)}{to_do}")
@@ -482,10 +485,13 @@ class TerminalProgress(Progress):
         number, noun = (self._done.points, "points") if self._once else (self._done.realisations, "realisations")
         return per_second(number, elapsed, noun)
 
+    def _share(self) -> float:
+        """Return which share of the work is done, in this run and in earlier ones, as points are counted."""
+        return self._stored + (1.0 - self._stored) * self._done.cost / max(self._work, 1e-9)
+
     def _line(self) -> str:
         """Return how far the run is: points, time left, speed.  What matters most comes first: a terminal cuts it."""
-        percent = 100.0 * self._done.cost / self._work if self._work > 0.0 and not self._once else None
-        share = "" if percent is None else f" ({percent:.0f} % of the work)"
+        share = f" ({100.0 * self._share():.0f} % of the work)" if self._work > 0.0 and not self._once else ""
         left = self._eta.left(time.monotonic(), self._work - self._done.cost)
         time_left = [] if left is None else [f"about {in_words(left)} left"]
         return ", ".join([f"{self._count}{share}", *time_left, self._speed(self._elapsed())])
@@ -498,7 +504,8 @@ class TerminalProgress(Progress):
         if first := next(iter(self._count.reasons.first.values()), None):
             line.append(harmless(f"; {short(first[1])}"), style="red")
         grid = Table.grid(padding=(0, 1))
-        grid.add_row(ProgressBar(max(self._work, 1e-9), self._done.cost, width=24), line)
+        bar = ProgressBar(1.0, self._share(), width=24)
+        grid.add_row(*([bar] if self._console.width >= NARROW else []), line)
         return grid
 
 

@@ -140,6 +140,16 @@ def test_quiet_prints_the_table_and_errors_and_verbose_each_point(run_f):
     assert told == ["x=0.0: done", "x=1.0: done", "x=2.0: failed (exception)", "x=3.0: done", "x=4.0: done"]
 
 
+def test_a_run_that_goes_on_counts_its_work_as_its_points(run_f, sweep_here, tmp_path, monkeypatch):
+    monkeypatch.setattr(progress, "LINE_LAST_S", -1.0)
+    run_f("--set", "n_sim=10", fails="False")
+    more = ("--set", "n_sim=10", "--pool", "serial", "-o", "s.zarr")
+    err = sweep_here("run", "f.py:f", "--axis", "x=0:9:1", *more, cwd=tmp_path)[2]
+    lines = re.findall(r"(\d+)/10 points \((\d+) % of the work", err)
+    assert lines
+    assert all(10 * int(points) == int(percent) for points, percent in lines)
+
+
 def test_the_log_has_everything_with_times_and_tracebacks_and_grows(run_f, tmp_path):
     assert run_f("--quiet", "--log", "run.log")[0] == 1
     first = (tmp_path / "run.log").read_text()
