@@ -411,7 +411,7 @@ def draw_lines(axes: Axes, dataset: xr.Dataset, variable: str, over: str, number
         axes.axhspan(-half, half, color=style.COLOURS[6], **style.BAND)
     style.fit_scale(axes, "y", dataset[variable])
     axes.set(xlabel=style.axis_label(dataset, over), ylabel=style.quantity_label(dataset, variable))
-    axes.margins(x=max(0.05, EDGE_PT / (72.0 * style.panel_size(axes)[0] - 2.0 * EDGE_PT)))
+    axes.margins(x=bool(axes.get_xmargin()) * max(0.05, EDGE_PT / (72.0 * style.panel_size(axes)[0] - 2.0 * EDGE_PT)))
     if steps and joined and len(axes.figure.axes) == 1:
         _name_ends(axes, {name: float(one[variable].values[-1]) for name, one in named})
 

@@ -391,11 +391,14 @@ def logarithmic(axes: Axes, which: str, values: Any) -> None:
     """Make an axis logarithmic.  Numbers within `PLAIN`, and those of less than two decades, are written as people do;
     the latter have ticks such as 1, 2 and 5.
     """
-    axes.set(**{f"{which}scale": "log"})
     axis = axes.xaxis if which == "x" else axes.yaxis
     known = np.asarray(values, dtype=float)
     known = known[np.isfinite(known) & (known > 0.0)]
-    span = known.max() / known.min() if known.size else 0.0
+    if is_far := bool(((known < 1e-250) | (known > 1e250)).any()):
+        getattr(axes, f"set_{which}margin")(0.0)  # of another margin, and of the next tick, the end may be no float
+    axes.set(**{f"{which}scale": "log"})
+    with np.errstate(over="ignore"):
+        span = known.max() / known.min() if known.size else 0.0
     whole = PLAIN[0] <= known.min() and known.max() <= PLAIN[1] if known.size else False
     if whole or 0.0 < span < 100.0:
         axis.set_major_formatter(ticker.FuncFormatter(lambda value, _: number_text(value) if value > 0.0 else ""))
@@ -407,6 +410,10 @@ def logarithmic(axes: Axes, which: str, values: Any) -> None:
         subs = (1.0,) if span >= 100.0 else many if room > 12.0 else few
         equal = ticker.MaxNLocator(8 if room > 12.0 else 4, steps=[1, 2, 2.5, 5, 10])
         axis.set_major_locator(ticker.LogLocator(subs=subs, numticks=9) if span > 2.0 else equal)
+    elif is_far:
+        powers = np.array(ticker.MaxNLocator(6, integer=True).tick_values(*np.log10([known.min(), known.max()])))
+        axis.set_major_locator(ticker.FixedLocator(10.0 ** powers[np.abs(powers) < 308.0]))
+        axis.set_minor_locator(ticker.NullLocator())
 
 
 def name_ticks(axes: Axes, which: str, names: Sequence[str]) -> None:

@@ -63,6 +63,13 @@ def test_other_axes_have_the_scale_on_which_they_are_more_even(x, scale):
     assert scales(results(x))[0] == scale
 
 
+def test_numbers_of_six_hundred_decades_are_all_in_view():
+    x = 10.0 ** np.arange(-300.0, 301.0, 50.0)
+    [axes] = linksweep.plot(results(x).assign(y=("x", x)), "lines").axes
+    for low, high in (axes.get_xlim(), axes.get_ylim()):
+        assert (low < 1e-299, high > 1e299) == (True, True)
+
+
 def test_a_study_chooses_and_a_call_overrides_it(tmp_path):
     study = {"experiment": lambda width: {"area": width**2}, "axes": {"width": [1.0, 2.0, 3.0, 4.0]}}
     study["figure"] = {"log": ["width", "area"]}
