@@ -480,11 +480,6 @@ def _vectors(read: Columns, name: str, size: int, number: re.Pattern[str]) -> Ar
     return vectors
 
 
-def by_vector(read: Columns, accelerated: bool) -> bool:
-    """Return whether correlations are those of corr_vec; columns for them count first."""
-    return read.has("corr_vec") and not any(map(read.has, [*CORRELATIONS][10 * accelerated :]))
-
-
 def put_vector(read: Columns, new: Mapping[str, Array]) -> str:
     """Put correlations (N,) by name in the place of those in corr_vec, in its form, and return its column."""
     name = str(read.name("corr_vec"))
@@ -513,26 +508,29 @@ def _correlations(read: Columns, present: Flags) -> Array | None:
     if (elements := hipparcos_elements(read)) is not None:
         return hipparcos_correlations(elements)
     pairs = core.ALL_PAIRS[: len(core.PAIRS) if len(present) == 5 else len(CORRELATIONS)]
-    names = [read.name(name) for name in CORRELATIONS][: len(pairs)]
-    if not any(names) and not read.has("corr_vec"):
+    vector, named = read.name("corr_vec"), [read.name(key) for key in CORRELATIONS][: len(pairs)]
+    names = [name or vector for name in named]
+    if not any(names):
         return None
-    correlations = np.array([np.zeros(len(read)) if name is None else read.numbers(name) for name in names])
-    if from_vector := by_vector(read, len(pairs) > 10):
-        names, correlations = ["corr_vec"] * len(pairs), _vectors(read, str(read.name("corr_vec")), 36, _ELEMENT)
-        correlations = correlations[[j * (j - 1) // 2 + i for i, j in pairs]]  # upper triangles, by columns
+    correlations = np.array([np.full(len(read), np.nan) if name is None else read.numbers(name) for name in named])
+    if vector:
+        elements = _vectors(read, vector, 36, _ELEMENT)[[j * (j - 1) // 2 + i for i, j in pairs]]  # by columns
+        differ = np.any(np.abs(correlations - elements) > ROUNDED, axis=0)
+        read.check(differ, f"correlations in columns that are others than in {vector}; leave out those of one")
+        correlations = np.where(np.isfinite(correlations), correlations, elements)
     elif len(pairs) > 10 and not any(names[10:]):
         read.notes.append("no correlations of the accelerations: they count as 0, although they are large")
     absent = []
     for row, key, name, (i, j) in zip(correlations, CORRELATIONS, names, pairs, strict=False):
         both = present[i] & present[j]
-        if name is None or not np.any(np.isfinite(row)):  # a blank column counts as none
+        if not np.any(np.isfinite(row)):  # a blank column counts as none
             absent += [key] if np.any(both) and (j < len(PARAMETERS) or any(names[10:])) else []
         else:
             read.check(both & ~np.isfinite(row), f"no {name} (write 0 for none)")
         row[~(both & np.isfinite(row))] = 0.0
     zero = f"no {first_of(absent, 5)}: a correlation without a column counts as 0" if absent else ""
     read.notes += [zero] if zero else []
-    zero += "of corr_vec, the columns of the upper triangle one after the other" if from_vector else ""
+    zero += "of corr_vec, the columns of the upper triangle one after the other" if vector else ""
     matrices = np.tile(np.eye(len(present)), (len(read), 1, 1))
     for row, (i, j) in zip(correlations, pairs, strict=True):
         matrices[:, i, j] = matrices[:, j, i] = row

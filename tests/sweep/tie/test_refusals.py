@@ -63,7 +63,7 @@ REFUSED = [
     ("no row of the reference is such a position", {}, {}, {"aberration": 5.8}),
     ("position:-1: the radius must be above 0", {}, {}, {"by": "position:-1"}),
     ("no row is of the kind position; there are five-parameter", {}, {}, {"jitter": {"position": (0.1, 0.0)}}),
-    ("in mas and mas/yr", {}, {}, {"jitter": {"five-parameter": "0.2 mas"}}),
+    *(("and mas/yr, each once", {}, {}, {"jitter": text}) for text in ("all=0.2 mas", "all=1,all=0", "estimate,all=1")),
     *(("no kind of row five", {}, {}, {"jitter": {"five": (1.0, 1.0)}}), ("KIND=MAS", {}, {}, {"jitter": "estimated"})),
     ("not negative", {}, {}, {"jitter": {"five-parameter": -0.1}}),
     ("weights by covariance", {}, {}, {"jitter": "estimate", "weights": "equal"}),
