@@ -52,11 +52,12 @@ PARAMETERS = ("ra", "dec", "parallax", "pmra", "pmdec")
 ACCELERATIONS = ("accel_ra", "accel_dec", "deriv_accel_ra", "deriv_accel_dec")
 _NINE = (*PARAMETERS, *ACCELERATIONS)
 _AT_VIZIER = ("RA", "DE", "Plx", "pmRA", "pmDE", *ACCELERATIONS)
-# The correlations as the Gaia archive calls them, and as VizieR does: the ten of five parameters in its order, and then
-# those with accelerations.
+# The correlations as the Gaia archive calls them, as VizieR does, and with the parameters in the other order: the ten
+# of five parameters in the archive's order, and then those with accelerations.
 ALL_PAIRS = tuple((i, j) for start in (0, 5) for i in range(9) for j in range(max(i + 1, start), 9) if start or j < 5)
-CORRELATIONS: Mapping[str, str] = {
-    f"{_NINE[i]}_{_NINE[j]}_corr": f"{_AT_VIZIER[i]}{_AT_VIZIER[j]}cor" for i, j in ALL_PAIRS
+CORRELATIONS: Mapping[str, tuple[str, ...]] = {
+    f"{_NINE[i]}_{_NINE[j]}_corr": (f"{_AT_VIZIER[i]}{_AT_VIZIER[j]}cor", f"{_NINE[j]}_{_NINE[i]}_corr")
+    for i, j in ALL_PAIRS
 }
 
 # Units of quantities other than positions, and of the errors of all quantities.
@@ -128,8 +129,7 @@ def column_of(quantity: str, names: Collection[str], columns: Mapping[str, str] 
     if stem != quantity and not quantity.startswith(_SIDES):
         stems = dict.fromkeys([column_of(stem, names, columns) or stem, stem])
         return first_found([form.format(one) for one in stems for form in ERROR_NAMES], names)
-    aliases = (quantity, CORRELATIONS[quantity]) if quantity in CORRELATIONS else NAMES.get(quantity, (quantity,))
-    return first_found(aliases, names)
+    return first_found((quantity, *CORRELATIONS.get(quantity, NAMES.get(quantity, ()))), names)
 
 
 def unit_of(quantity: str) -> str:

@@ -732,7 +732,7 @@ def apply(
     new = _moved(stars, link, inverse)
     put = _put(read, new, how.pmra_cos_dec, output is not None and output.suffix == ".csv")
     lost = [name for name in CORRELATIONS if not read.has(name) and np.any(np.nan_to_num(new.get(name, 0.0)))]
-    if lost and not files.by_vector(read, stars.further is not None):
+    if lost and not read.has("corr_vec"):
         notes.append(f"the table has no {', '.join(lost)}: these correlations, which the link adds, are lost")
     if "satellite_read" not in link.attrs:
         notes.append("the link does not say how its tables were read: units, names of columns, cos(dec) of pmra")

@@ -104,7 +104,7 @@ def parse_jitter(text: str, missions: Collection[str]) -> dict[str, dict[str, An
         kind, size = (ALL, item) if item == ESTIMATE else split_assignment(item)
         sizes = numbers(size, ":") if size != ESTIMATE else [0.0, 0.0]
         if kind in jitter or not (kind and 1 <= len(sizes) <= 2):
-            raise SweepError(f"jitter {item!r}: say --jitter estimate or KIND=MAS[:MAS_YR] in mas and mas/yr, each once")
+            raise SweepError(f"jitter {item!r}: say estimate, or KIND=MAS[:MAS_YR] in mas and mas/yr, each once")
         # one number is the jitter of motions where a kind of rows has nothing else
         both = (0.0, *sizes) if len(sizes) == 1 and kind.rpartition(":")[2] in MOTIONS else (*sizes, 0.0)[:2]
         jitter[kind] = ESTIMATE if size == ESTIMATE else both

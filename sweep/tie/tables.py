@@ -55,6 +55,9 @@ COARSE = 0.1
 # By how much, in units of the last decimal, numbers may differ from rounded ones.
 LIKE_ROUNDED = 1e-3
 
+# By how much a correlation in a column may differ from that in corr_vec, rounded to two decimals.
+ROUNDED = 0.01
+
 # Errors after a mistake in their unit is corrected, mas or mas/yr.
 TYPICAL = (0.005, 300.0)
 
@@ -516,17 +519,18 @@ def _correlations(read: Columns, present: Flags) -> Array | None:
     if vector:
         elements = _vectors(read, vector, 36, _ELEMENT)[[j * (j - 1) // 2 + i for i, j in pairs]]  # by columns
         differ = np.any(np.abs(correlations - elements) > ROUNDED, axis=0)
-        read.check(differ, f"correlations in columns that are others than in {vector}; leave out those of one")
+        read.check(differ, f"correlations in columns that contradict {vector}", hint="; leave out one of the two")
         correlations = np.where(np.isfinite(correlations), correlations, elements)
     elif len(pairs) > 10 and not any(names[10:]):
         read.notes.append("no correlations of the accelerations: they count as 0, although they are large")
-    absent = []
+    absent, gaps = [], np.zeros(len(read), dtype=bool)
     for row, key, name, (i, j) in zip(correlations, CORRELATIONS, names, pairs, strict=False):
         both = present[i] & present[j]
         if not np.any(np.isfinite(row)):  # a blank column counts as none
             absent += [key] if np.any(both) and (j < len(PARAMETERS) or any(names[10:])) else []
         else:
-            read.check(both & ~np.isfinite(row), f"no {name} (write 0 for none)")
+            read.check(gone := both & ~np.isfinite(row), f"no {name} (write 0 for none)")
+            gaps |= gone
         row[~(both & np.isfinite(row))] = 0.0
     zero = f"no {first_of(absent, 5)}: a correlation without a column counts as 0" if absent else ""
     read.notes += [zero] if zero else []
@@ -535,7 +539,9 @@ def _correlations(read: Columns, present: Flags) -> Array | None:
     for row, (i, j) in zip(correlations, pairs, strict=True):
         matrices[:, i, j] = matrices[:, j, i] = row
     good = core.positive_definite(matrices)
-    read.check(~good, "correlations that are impossible (not positive definite)", hint=f"; {zero}" if zero else "")
+    read.check(
+        ~(good | gaps), "correlations that are impossible (not positive definite)", hint=f"; {zero}" if zero else ""
+    )
     return correlations
 
 

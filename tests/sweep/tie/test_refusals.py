@@ -21,6 +21,7 @@ ACCELERATED = {f"accel_{axis}{end}": at(0, 0) for axis in ("ra", "dec") for end 
 DR4, CALIBRATED = {"ref_epoch": at(0, 0, 2017.5)}, {"calibrator": ["J1"] * N}
 GAP = MaskedColumn(at(0, 0, 2016.0), mask=at(2, 1, 0))
 FEW = np.where(np.arange(N) < 4, 10**17 + np.arange(N), 1)  # all but four match no source
+CORRELATED = dict.fromkeys(("ra_pmra_corr", "dec_pmra_corr"), at(0, 0, 0.9))
 SPIN = {f"omega_{axis}": [10.0] for axis in "xyz"}
 DR3 = {"phot_g_mean_mag": at(1, 8.0, 12.0), "nu_eff_used_in_astrometry": np.full(N, 1.5), "pseudocolour": at(1, 1.4)}
 DR3 |= {"ecl_lat": at(1, 30.0), "astrometric_params_solved": np.full(N, 31)}
@@ -33,7 +34,8 @@ REFUSED = [
     ("of the position has a value in row 2", {}, {"ra": at(2, np.nan), "ra_error": at(2, np.nan)}, {}),
     ("impossible .* in row 3", {"ra_dec_corr": at(3, 1.5, 0.0)}, {}, {}),
     ("single precision .* too coarse .* in row 1, 2, 3", {"ra": np.float64(np.linspace(1, 99, N, dtype="f4"))}, {}, {}),
-    (r"no ra_dec_corr \(write 0 for none\) in row 2", {"ra_dec_corr": at(2, np.nan)}, {}, {}),
+    (r"no ra_dec_corr \(write 0 for none\) in row 2", CORRELATED | {"ra_dec_corr": at(2, np.nan, 0.9)}, {}, {}),
+    ("contradict corr_vec in row 1, 2, 3", {"corr_vec": np.full((N, 10), 0.1)}, {}, {}),
     ("each source needs a position, .* row 1, 2, 3, 4, 5 and 7 more", dict.fromkeys(POSITION), {}, {}),
     (r"orientation needs positions in the reference\)$", {}, dict.fromkeys(POSITION), {"unknowns": "orientation"}),
     ("give the epoch", {}, {"ref_epoch": None}, {}),

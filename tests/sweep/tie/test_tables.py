@@ -203,7 +203,7 @@ def test_names_of_vizier_are_read_and_j2000_is_no_epoch_unless_that_is_said(tmp_
     made, path = stars(6), tmp_path / f"t.{form}"
     names, correlations = [ra, dec, "Plx", "pmRA", "pmDE"], [f"{NAMES[i]}_{NAMES[j]}_corr" for i, j in PAIRS]
     table = gaia_table(made)[[*NAMES, *(f"{name}_error" for name in NAMES), "ref_epoch", *correlations]]
-    pairs = [f"{VIZIER[i]}{VIZIER[j]}cor" for i, j in PAIRS]
+    pairs = [f"{VIZIER[i]}{VIZIER[j]}cor" if form != "ecsv" else f"{NAMES[j]}_{NAMES[i]}_corr" for i, j in PAIRS]
     table.rename_columns(table.colnames, [*names, *(f"e_{name}" for name in names), "Epoch", *pairs])
     if ra == "RA_ICRS":
         table["_RA"] = table["_DE"] = np.zeros(6)
