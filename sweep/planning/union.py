@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from linksweep.sweep.contract import Experiment, Named, Parameter, Point, SweepError, Unknown, Value, shown
 from linksweep.sweep.formatting import counted
 from linksweep.sweep.planning.grid import MAX_POINTS, NO_EFFECT, Grid, GridPoint, all_but
-from linksweep.sweep.studies.points import MAX_VALUES, Values, labels_of, numbers_like, require_distinct
+from linksweep.sweep.studies.points import MAX_VALUES, Values, is_empty, labels_of, numbers_like, require_distinct
 from linksweep.sweep.studies.study import POINT, Conclusion, PointTable, Sampling, Study
 from linksweep.sweep.tables.columns import sorted_json
 
@@ -32,6 +32,9 @@ EARLIER = "with the points of other runs"
 Row = tuple[Value, ...]
 Rows = dict[tuple[str, ...], list[Row]]
 """The values at each place along a dimension, by its axes."""
+
+Side = tuple[Grid, Mapping[str, Value], NDArray[np.intp]]
+"""Of a study its grid, its constants, and the indices of its points with those that repeat them."""
 
 
 def with_numbers_of(stored: Study, asked: Study) -> Study:
@@ -88,10 +91,10 @@ def united(stored: Study, asked: Study, in_ledger: Collection[bytes] = (), *, is
     rows = _crossed([(theirs, was, kept, idle), (mine, now, {}, mine.idle(mine.indices()))], changed)
     points = tables[0] if tables else None
     are_lost = any(one.labels and {*one.names} != {*tables[0].names} for one in tables)
-    repeat = _repeat(rows, () if points is None else points.names, theirs, mine)
+    sides = (theirs, was, theirs.repeated(places)), (mine, now, mine.repeated(mine.indices()))
+    repeat = _repeat(rows, () if points is None else points.names, *sides)
     is_sparse = math.prod(map(len, rows.values())) > _most_places(len(places) + len(mine))
     axes, is_table = _columns(rows), are_lost or repeat or not _is_crossed(theirs, mine) or is_sparse
-    sides = (theirs, was, theirs.repeated(places)), (mine, now, mine.repeated(mine.indices()))
     if is_table or Grid(replace(asked, axes=axes, zipped=tuple(rows), points=points)).divided:
         names = tuple(dict.fromkeys([*stored.axes, *asked.axes, *changed]))
         old, new = (
@@ -120,7 +123,8 @@ def united(stored: Study, asked: Study, in_ledger: Collection[bytes] = (), *, is
     )
     result = replace(result, counts=_counts(theirs, places, mine, result, in_ledger))
     is_same = result.digest() == asked.digest()
-    if is_same and [*result.dimensions] == [*asked.dimensions]:
+    is_labelled_alike = str(result.points and result.points.labels) == str(asked.points and asked.points.labels)
+    if is_same and is_labelled_alike and [*result.dimensions] == [*asked.dimensions]:
         return asked
     overrides = asked.overrides if is_same or EARLIER in asked.overrides else (*asked.overrides, EARLIER)
     conclusion = asked.conclusion if axes.keys() == asked.axes.keys() else None
@@ -132,16 +136,16 @@ def _most_places(points: int) -> int:
     return max(SMALL, min(MAX_POINTS, SPARSEST * points, points + MOST_LEFT_OUT))
 
 
-def _repeat(rows: Rows, table: tuple[str, ...], *grids: Grid) -> bool:
+def _repeat(rows: Rows, table: tuple[str, ...], *sides: Side) -> bool:
     """Return whether values of an axis repeat, or rows of a ``table`` repeat or have other labels along more places of
     other axes than in a grid that has them.
     """
     others = {names: some for names, some in rows.items() if names != table}
     along = math.prod(map(len, others.values()))
     distinct = [[(value,) for value in column] for column in _columns(others).values()]
-    narrow = [one.rows[POINT] for one in grids if len(one) < along * len(one.rows.get(POINT, ()))]
+    narrow = [one.rows[POINT] for one, *_ in sides if len(one) < along * len(one.rows.get(POINT, ()))]
     is_repeated = any(turn for some in (*distinct, *narrow) for _, turn in _keys(some))
-    return is_repeated or (bool(narrow) and _are_relabelled(table, *grids))
+    return is_repeated or (bool(narrow) and _are_relabelled(table, *sides))
 
 
 def _columns(rows: Rows) -> dict[str, tuple[Value, ...]]:
@@ -166,44 +170,55 @@ def _values(parameter: Parameter, column: Sequence[Value], is_table: bool) -> tu
     return values
 
 
-def _labels(
-    columns: Mapping[str, Sequence[Value]], *sides: tuple[Grid, Mapping[str, Value], NDArray[np.intp]]
-) -> dict[str, list[Any]]:
-    """Return the labels of the rows of a table, from the tables of studies: those of the last that has a row.  Of each
-    side its grid, its constants and the indices of its points.  Rows that repeat keep theirs in their order.
-    """
+def _labels(columns: Mapping[str, Sequence[Value]], *sides: Side) -> dict[str, list[Any]]:
+    """Return the labels of the rows of a table: those of the last study of which it is a row."""
     labels: dict[str, list[Any]] = {}
     ours = _keys(zip(*columns.values(), strict=True))
-    for grid, constants, places in sides:
-        points = grid.study.points
-        if points is None or not points.labels:
-            continue
-        if columns.keys() <= {*points.names}:  # also rows without points, as yet
-            theirs = _places_of_rows(grid.study, columns)
-        else:
-            along = np.unravel_index(places, grid.shape)[[*grid.dimensions].index(POINT)]
-            rows = (tuple({**constants, **p.parameters}[name] for name in columns) for p in grid.points(places))
-            theirs = dict(zip(_keys(rows), along.tolist(), strict=True))
-        for name, cells in points.labels.items():
+    for side in (side for side in sides if _label_names(side[0])):
+        theirs = _labels_by_row([*columns], *side)
+        for name in _label_names(side[0]):
             before = labels.get(name, [None] * len(ours))
-            labels[name] = [cells[theirs[key]] if key in theirs else b for key, b in zip(ours, before, strict=True)]
+            labels[name] = [theirs.get(key, {}).get(name, b) for key, b in zip(ours, before, strict=True)]
     return {name: labels_of(cells) for name, cells in labels.items()}
 
 
-def _places_of_rows(study: Study, names: Iterable[str]) -> dict[tuple[str, int], int]:
-    rows = zip(*(study.axes[name] for name in names), strict=True)
-    return {key: place for place, key in enumerate(_keys(rows))}
+def _label_names(grid: Grid) -> list[str]:
+    return [*grid.study.points.labels] if grid.study.points else []
 
 
-def _are_relabelled(table: tuple[str, ...], *grids: Grid) -> bool:
-    """Return whether a row of a ``table`` has another label in one of two grids than in the other."""
-    one, other = (grid.study.points.labels if grid.study.points else {} for grid in grids)
-    both = one.keys() & other.keys()
-    if not both:
+def _is_blank(cell: object) -> bool:
+    return is_empty(cell) or cell == ""
+
+
+def _labels_by_row(
+    names: Sequence[str], grid: Grid, constants: Mapping[str, Value], places: NDArray[np.intp]
+) -> dict[tuple[str, int], dict[str, Any]]:
+    """Return the labels of the rows of a study by name, none without a table: the rows are the values of some
+    parameters in its table, or at its points.  A row without a label of a table that was united may be of no table.
+    """
+    points = grid.study.points
+    if points is not None and {*names} <= {*points.names}:  # also rows without points, as yet
+        rows = [*zip(*(grid.study.axes[name] for name in names), strict=True)]
+        along = np.arange(len(rows))
+    else:
+        rows = [tuple({**constants, **p.parameters}[name] for name in names) for p in grid.points(places)]
+        along = np.unravel_index(places, grid.shape)[[*grid.dimensions].index(POINT)] if points else places
+    labels, may_lack = (points.labels.items(), UNITED in points.origin) if points else ((), False)
+    return {
+        key: {name: cells[k] for name, cells in labels if not (may_lack and _is_blank(cells[k]))}
+        for key, k in zip(_keys(rows), along.tolist(), strict=True)
+    }
+
+
+def _are_relabelled(names: Sequence[str], *sides: Side) -> bool:
+    """Return whether a row has other labels in one of two studies than in the other."""
+    if not any(_label_names(grid) for grid, *_ in sides):
         return False
-    mine, theirs = (_places_of_rows(grid.study, table) for grid in grids)
-    pairs = [(mine[key], theirs[key]) for key in mine.keys() & theirs.keys()]
-    return any(str(one[name][k]) != str(other[name][j]) for name in both for k, j in pairs)
+    one, other = (
+        {key: {n: str(cell) for n, cell in cells.items() if not _is_blank(cell)} for key, cells in some.items()}
+        for some in (_labels_by_row(names, *side) for side in sides)
+    )
+    return any(one[key] != other[key] for key in one.keys() & other.keys())
 
 
 def _keys(rows: Iterable[Row]) -> list[tuple[str, int]]:

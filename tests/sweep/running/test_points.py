@@ -1,6 +1,7 @@
 """Tables of points from a study to a store: once each, the bits of a grid, growth, reproduction, labels of rows."""
 
 import json
+from itertools import permutations
 from typing import Literal
 
 import numpy as np
@@ -227,6 +228,23 @@ def test_labels_are_those_of_the_points_of_their_tables(tmp_path, wells):
         linksweep.run(lambda x, temp=0.0: x * temp, tmp_path / "s", fixed=fixed, keep=True, pool="serial", **rows)
     frame = linksweep.open(tmp_path / "s").to_dataframe().reset_index()
     assert dict(zip(zip(frame.x, frame.temp, strict=True), frame.well, strict=True)) == expected
+
+
+@pytest.mark.parametrize("order", few(2, [*map("".join, permutations("acbd"))]))
+def test_labels_do_not_depend_on_the_order_in_which_stores_are_merged(tmp_path, order):
+    runs = {
+        "a": {"points": {"x": [1.0, 5.0], "well": ["A", "B"]}, "labels": "well"},
+        "c": {"axes": {"x": [1.0, 5.0, 9.0]}},
+    }
+    runs |= {"b": {"points": {"x": [1.0, 5.0], "y": [7.0, 7.0], "well": ["C", "D"]}, "labels": "well"}}
+    runs |= {"d": {"axes": {"y": [3.0, 7.0]}, "fixed": {"x": 1.0}}}
+    for name in order:
+        linksweep.run(lambda x=0.0, y=2.0: x * y, tmp_path / name, pool="serial", **runs[name])
+    merge([tmp_path / name for name in order], tmp_path / "m")
+    frame = linksweep.open(tmp_path / "m").to_dataframe().dropna()
+    labels = dict(zip(zip(frame.x, frame.y, strict=True), frame.well, strict=True))
+    expected = {(1.0, 2.0): "A", (5.0, 2.0): "B", (1.0, 7.0): "C", (5.0, 7.0): "D", (9.0, 2.0): "", (1.0, 3.0): ""}
+    assert labels == expected
 
 
 def test_a_table_beside_another_on_whose_column_there_is_an_axis_joins_it(tmp_path):
