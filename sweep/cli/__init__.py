@@ -6,6 +6,7 @@ Each command calls one function of the library, imported when it is needed; a sh
 key, so that nothing heavy is imported here.
 """
 
+import ast
 import atexit
 import errno
 import gc
@@ -159,19 +160,27 @@ def _folders(_context: click.Context, _parameter: click.Parameter, incomplete: s
     return [CompletionItem(incomplete, type="dir")]
 
 
-def _keys(context: click.Context, _parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """Offer the axes of the study that was given before, what it fixes, and what all studies have."""
+def _keys(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
+    """Offer the axes of the study that was given before and what it fixes, or the parameters of the function, and where
+    they are no axes what all studies have.
+    """
     # The study is not parsed yet where an option lacks its value.
     study = str(context.params.get("study") or next(iter(context.args), ""))
     document: dict[str, Any] = {}
-    with suppress(OSError, ValueError, RecursionError):
+    with suppress(OSError, ValueError, RecursionError, SyntaxError):
         # A shell has no place for an error.
-        path = built_in_studies().get(study, Path(study))
+        file, is_function, name = study.rpartition(".py:")
+        path = built_in_studies().get(study, Path(f"{file}.py" if is_function else study))
         if path.stat().st_size < 100_000:
             # A shell waits for this at each press of a key.
-            document = tomllib.loads(path.read_text(encoding="utf-8"))
+            text = path.read_text(encoding="utf-8")
+            body = ast.parse(text).body if is_function else []
+            made = [one for one in body if isinstance(one, ast.FunctionDef) and one.name == name]
+            named = {one.arg: 0 for f in made for one in (*f.args.args, *f.args.kwonlyargs)}
+            document = {"axes": named} if is_function else tomllib.loads(text)
     tables = [table for key in ("axes", "fixed") if isinstance(table := document.get(key), dict)]
-    keys = [f"{key}=" for table in (*tables, SAMPLING) for key in table]
+    always = () if "--axis" in parameter.opts else SAMPLING
+    keys = [f"{key}=" for table in (*tables, always) for key in table if key != "rng"]
     return [CompletionItem(key) for key in keys if key.startswith(incomplete)]
 
 

@@ -171,7 +171,13 @@ printf '%s\\n' "${{COMPREPLY[@]}}"
 def test_commands_and_keys_of_the_study_that_is_named_before(tmp_path):
     assert {"v_max=", "model=", "n_sim="} <= set(offered(tmp_path, "sweep", "run", "quasars", "--set", ""))
     (tmp_path / "mine.toml").write_text("title = 'x'\n[axes]\nlength = [1]\nlimit = [2]\nwidth = [3]\n")
-    assert [o for o in offered(tmp_path, "sweep", "plan", "mine.toml", "--axis", "l") if o] == ["length=", "limit="]
+    assert [o for o in offered(tmp_path, "sweep", "plan", "mine.toml", "--axis", "") if o] == [
+        "length=",
+        "limit=",
+        "width=",
+    ]
+    (tmp_path / "f.py").write_text("def f(a: int, *, limit=lambda b: b, rng=None):\n    return a\n")
+    assert [o for o in offered(tmp_path, "sweep", "run", "f.py:f", "--axis", "") if o] == ["a=", "limit="]
 
 
 @pytest.mark.slow
