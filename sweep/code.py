@@ -205,8 +205,8 @@ class Reach:
         # The modules that act while a module is imported, or import others, in turn; also itself.
         self._steps: dict[str, list[str]] = {}
         self._texts: dict[str, set[str]] = defaultdict(set)
-        # Numbers of functions that have one name, by their ids.
-        self._alike: dict[str, dict[int, int]] = defaultdict(dict)
+        # Numbers of functions and classes that have one name, by their ids.
+        self._alike: dict[str, dict[int, tuple[int, Any]]] = defaultdict(dict)
         # Whose form is made, and whether any of it is left out.
         self._value, self._is_partial = "", False
         # The user's name through which what is followed is reached.
@@ -279,17 +279,17 @@ class Reach:
             module = value.__module__ if isinstance(value.__module__, str) else "builtins"
             if self._is_users(module) or not hasattr(sys.modules.get(module), value.__qualname__.partition(".")[0]):
                 self._follow(self._class, value)
-            return f"class {label_of(value)}"
+            return f"class {self._label(value)}"
         if type(value) is FunctionType:  # not a proxy of one
             self._called.add(value.__name__)
             self._follow(self._function, value)
             return f"function {self._label(value)}"
         return None
 
-    def _label(self, function: FunctionType) -> str:
-        """Return the name of a function, with a number where others have the same, such as closures."""
-        known = self._alike[label := label_of(function)]
-        number = known.setdefault(id(function), len(known))
+    def _label(self, value: Any) -> str:
+        """Return the name of a function or class, with a number where others have the same, such as closures."""
+        known = self._alike[label := label_of(value)]
+        number, _ = known.setdefault(id(value), (len(known), value))
         return f"{label} {number + 1}" if number else label
 
     def _form(self, value: Any, known: dict[int, tuple[Any, str]]) -> str:
@@ -311,9 +311,9 @@ class Reach:
             forms = [self._form(one, known) for one in self._pieces(value)]
             inside = ", ".join(sorted(forms) if kind in (set, frozenset) else forms)
             # Digested where it is long: objects that share parts would else repeat their text at each level.
-            text = f"{label_of(kind)} [{inside if len(inside) < LONGEST else digest_of(inside)}]"
+            text = f"{self._label(kind)} [{inside if len(inside) < LONGEST else digest_of(inside)}]"
         except Exception:  # whatever keeps an object from being taken apart; also where it is too deep
-            self.unnoticed[self._value] = text = label_of(kind)
+            self.unnoticed[self._value] = text = self._label(kind)
             self._is_partial = True
         # What is there twice and can be changed is not the same as two that are equal.
         known[id(value)] = value, number if isinstance(value, CHANGEABLE) else text
@@ -388,7 +388,7 @@ class Reach:
             yield from [module] if name == module else self._executed(name)
 
     def _whole(self, module: ModuleType) -> None:
-        for name, value in list(vars(module).items()):
+        for name, value in sorted(vars(module).items()):
             if not name.startswith("__") or name == "__getattr__":
                 self._named(name, vars(module), value)
 
@@ -429,11 +429,11 @@ class Reach:
 
     def _class(self, cls: type) -> None:
         """Add the statements of a class, and all that it has now."""
-        label, names = label_of(cls), getattr(sys.modules.get(cls.__module__), "__dict__", {})
+        label, names = self._label(cls), getattr(sys.modules.get(cls.__module__), "__dict__", {})
         text = str([self._code(one) for one in (*cls.__mro__[1:], type(cls))])
         # Methods count as functions, so that a message can name them; all else as it is now, also if it was set later.
         file = names.get("__file__") or ""
-        for name, value in vars(cls).items():
+        for name, value in sorted(vars(cls).items()):  # in an order that does not depend on that of definitions
             for inner in self._pieces(value) if isinstance(value, DESCRIPTORS) else [value]:
                 if isinstance(inner, FunctionType):
                     self._follow(self._function, inner)
@@ -534,10 +534,16 @@ def _closure(function: FunctionType) -> dict[str, Any]:
 
 
 def _contents(value: Any, depth: int = 5) -> str:
-    """Return what tells a plain value or a function from others, functions by what is in their closures."""
-    if type(value) is FunctionType and depth:
-        return f"{label_of(value)} {[_contents(one, depth - 1) for one in _closure(value).values()]}"
-    return repr(value) if type(value) in PLAIN else ""
+    """Return what tells a value from others, functions by what is in their closures, objects by their attributes."""
+    if type(value) in PLAIN or not depth:
+        return repr(value) if depth else ""
+    is_users = distributions_of((value if isinstance(value, type) else type(value)).__module__) is None
+    inside = (
+        _closure(value) if type(value) is FunctionType else dict(getattr(value, "__dict__", {})) if is_users else {}
+    )
+    more = value if type(value) is tuple else (type(value), *getattr(value, "__bases__", ()))
+    forms = [_contents(one, depth - 1) for one in (*map(inside.get, sorted(inside)), *more)]
+    return f"{getattr(value, '__qualname__', '')} {forms}"
 
 
 def tree_of(filename: str, names: Names) -> ast.Module:

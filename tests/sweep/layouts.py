@@ -46,11 +46,11 @@ ENDS = {  # how the constant, CONSTANT, comes into NAME(x)
     "later": "class C_NAME:\n    k = 0.0\n\nC_NAME.k = CONSTANT\n\ndef NAME(x):\n    return x + C_NAME().k",
     "dataclass": "from dataclasses import dataclass, field\n\n@dataclass(frozen=True)\nclass C_NAME:\n    k: float = CONSTANT\n    names: frozenset = frozenset({'a', 'b', 'c', 'dd'})\n\ndef NAME(x):\n    return x + C_NAME().k",
     "enum": "from enum import Enum\n\nclass E_NAME(Enum):\n    K = CONSTANT\n\ndef NAME(x):\n    return x + E_NAME.K.value",
-    "partial": "import functools\n\ndef NAME_two(k, x):\n    return x + k\n\nNAME = functools.partial(NAME_two, CONSTANT)",
+    "methods in any order": "def NAME_deco(g):\n    def inner(self, x):\n        return g(self, x)\n    return inner\n\nclass C_NAME:\n# 1\n    @NAME_deco\n    def one(self, x):\n        return x\n\n# 2\n    @NAME_deco\n    def two(self, x):\n        return x + CONSTANT\n\n# 3\n\ndef NAME(x):\n    return C_NAME().one(x) - C_NAME().two(x)",
     "frozen": "import scipy.stats\n\nS_NAME = scipy.stats.norm(CONSTANT, 1.0)\n\ndef NAME(x):\n    return x + float(S_NAME.mean())",
     "state": "import decimal\n\ndecimal.getcontext().prec = int(CONSTANT)\n\ndef NAME(x):\n    return float(decimal.Decimal(1) / decimal.Decimal(3)) + x",
     "factory": "from dataclasses import dataclass, field\n\ndef NAME_k():\n    return [CONSTANT]\n\n@dataclass\nclass C_NAME:\n    k: list = field(default_factory=NAME_k)\n\ndef NAME(x):\n    return x + C_NAME().k[0]",
-    "cached": "import functools\n\n@functools.lru_cache(maxsize=None)\ndef NAME(x):\n    return x + CONSTANT",
+    "classes exchanged": "def NAME_make(start):\n    class C_NAME:\n        K = start\n    return C_NAME\n\nA_NAME, B_NAME = map(NAME_make, (CONSTANT, 7 - CONSTANT))\nS_NAME = {NAME_make(k) for k in range(9)}\n\ndef NAME(x):\n    return x + A_NAME.K + 2 * B_NAME.K + sum(one.K for one in S_NAME)",
     "series": "import pandas as pd\n\nS_NAME = pd.Series([0.0, CONSTANT])\n\ndef NAME(x):\n    return x + float(S_NAME.iloc[1])",
     "spline": "import numpy as np\nfrom scipy.interpolate import CubicSpline\n\nS_NAME = CubicSpline(np.arange(4.0), np.arange(4.0) * CONSTANT)\n\ndef NAME(x):\n    return x + float(S_NAME(1.0))",
     "frompyfunc": "import numpy as np\n\nU_NAME = np.frompyfunc(lambda x: x + CONSTANT, 1, 1)\n\ndef NAME(x):\n    return float(U_NAME(x))",
@@ -127,6 +127,7 @@ class Layout:
             body = [*blocks, UNUSED.replace("OTHER", "8.0" if cosmetic else "7.0")]
             if cosmetic:
                 other.shuffle(body)
+                body = [re.sub("(?s)(# 1.*)(# 2.*)(# 3)", r"\2\1\3", block) for block in body]
                 body = [re.sub(r"(?m)^( *)def .*:$", r'\g<0>\n\1    """Return a number."""', block) for block in body]
                 body = [f"# {other.random()}\n{block}" for block in body]
             where = (folder / "project" / file).resolve()
