@@ -232,6 +232,15 @@ def _published_numbers(dataset: xr.Dataset) -> Iterator[Comparison]:
             ((_, ours),) = [({}, Measured({}, missing=problem))] if problem else _values(dataset, name, here)
             is_exact = is_count and rounding == 0.5 and number.is_integer()
             yield judged(about, ours, number, 0.0 if is_exact else rounding, Rule() if is_exact else rule)
+        if table.attrs.get("outside_grid") and not np.isfinite(table.values).any():
+            yield judged(about, Measured({}, missing=_outside(table)), math.nan, math.nan, rule)
+
+
+def _outside(table: xr.DataArray) -> str:
+    """Return in words how many published numbers are not in the grid; '' if all are."""
+    lacking = f" (the table has no column {names})" if (names := table.attrs.get("without_column")) else ""
+    n = int(table.attrs.get("outside_grid", 0))
+    return f"published numbers that are not in this grid and not compared: {n}{lacking}" if n else ""
 
 
 def _claims(dataset: xr.Dataset) -> Iterator[Comparison]:
@@ -316,12 +325,10 @@ def remarks(dataset: xr.Dataset) -> list[str]:
     published = (name for name in map(str, dataset.data_vars) if name.endswith("_published"))
     tables = {name.removesuffix("_published"): dataset[name] for name in published}
     compared = dict.fromkeys([*tables, *(claim.quantity().variable for claim in quantity.claims_of(dataset))])
-    outside = {name: n for name, table in tables.items() if (n := int(table.attrs.get("outside_grid", 0)))}
     sentences = [part for name in compared for part in quantity.unknown_parts(dataset, name)]
-    words = "published numbers that are not in this grid and not compared"
     unknown = json.loads(dataset.attrs.get("published_not_compared", "[]"))
     sentences += [f"{name}: is not one number at each point, and published ones are not compared" for name in unknown]
-    return [*sentences, *(f"{name}: {words}: {n}" for name, n in outside.items())]
+    return [*sentences, *(f"{name}: {words}" for name, table in tables.items() if (words := _outside(table)))]
 
 
 # Tables of comparisons

@@ -449,7 +449,7 @@ class _Reader:
         when = {n: {c.name: written[c.name](c.among) for c in some if c.among} for n, some in conditions.items()}
         self.document |= {"when": {name: when.get(name) for name in form.when}} if form.when else {}
         experiment = self._with_labels(experiment, axes, fixed, when)
-        published = _read_published(form, values, axes)
+        published = _read_published(form, values, axes, fixed)
         changed = frozenset(str(place[1]) for place in problems.options if place[0] in ("axes", "fixed"))
         known = frozenset({*axes, *fixed})
         context = Context(experiment, crossed, zipped, known, changed, compared) if is_whole else None
@@ -541,6 +541,10 @@ class _Reader:
         is_sampled = experiment is None or not experiment.deterministic
         names = [] if experiment is None or is_sampled else [one.name for one in experiment.parameters]
         texts = [] if experiment is None else [one.name for one in experiment.parameters if one.kind == "str"]
+        published, fixed = (self.document.get(key) for key in ("published", "fixed"))
+        if isinstance(published, dict) and isinstance(fixed, dict):  # as it is before any option
+            plain = {name: raw for name, raw in fixed.items() if isinstance(raw, int | float | str)}
+            self.document["published"] = {"where": plain, **published}
         self.options.apply(self.document, names, texts, self.problems.sentences)
         if self.options.written is not None and experiment is not None:
             known = {one.name for one in experiment.parameters if one.reads_none}
@@ -672,7 +676,7 @@ def _known_keys(where: KeyPath) -> list[str]:
     return list(table.model_fields)
 
 
-def _read_published(form: Form, values: Values, axes: Collection[str]) -> Published | None:
+def _read_published(form: Form, values: Values, axes: Collection[str], fixed: Mapping[str, Value]) -> Published | None:
     """Return the published numbers that a study names, if any, from a CSV file in its folder."""
     if (about := form.published) is None:
         return None
@@ -701,5 +705,7 @@ def _read_published(form: Form, values: Values, axes: Collection[str]) -> Publis
                         parameters[column].parse(None if is_none else cell if kind == "str" else read_cell(cell, kind))
                     elif cell and isinstance(read_cell(cell, "float"), str):
                         raise ValueError(f"{column} = {shown(cell)}: must be a number or empty")
-        return Published(about, tuple(row for _, row in rows))
+        others = {n: raw for n, raw in about.where.items() if n not in form.fixed or form.fixed[n] != raw}
+        along = {name: values.one(("published", "where", name), name, raw) for name, raw in others.items()}
+        return Published(about, tuple(row for _, row in rows), {**fixed, **along})
     return None

@@ -569,9 +569,12 @@ class PointsForm(Section):
 
 
 class PublishedForm(Printed, frozen=True):
-    """The table [published]."""
+    """The table [published]; ``where`` has the values of axes that its file has no column of, by default those of
+    [fixed].
+    """
 
     file: str
+    where: dict[str, Any] = Field(default_factory=dict)
 
 
 class FigureForm(Section, frozen=True):
@@ -703,12 +706,13 @@ def in_ranges(numbers: Iterable[int]) -> str:
 
 @dataclass(frozen=True)
 class Published:
-    """Published results: rows of {column: number as printed}, the columns being axes and outputs, and what is known of
-    them.
+    """Published results: rows of {column: number as printed}, the columns being axes and outputs, what is known of
+    them, and ``where`` they are along further axes, unless at the default.
     """
 
     about: PublishedForm
     rows: tuple[Mapping[str, str], ...]
+    where: Mapping[str, Value]
 
 
 POINT = "point"

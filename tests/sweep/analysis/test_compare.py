@@ -294,7 +294,7 @@ def test_a_plain_function_has_claims_a_conclusion_and_published_numbers(tmp_path
 
 def test_published_numbers_stand_at_the_point_that_is_meant_also_if_it_is_excluded(tmp_path):
     (tmp_path / "p.csv").write_text("release,k,w\n1.10,1,4\n1.1,2,3\n1.20,1,9\n007,1.0,5\n1.1,1,7\n")
-    study = {"experiment": lambda release, k: {"w": len(release)}, "exclude": [{"release": "1.1", "k": 1}]}
+    study = {"experiment": lambda release, k=1: {"w": len(release)}, "exclude": [{"release": "1.1", "k": 1}]}
     study["axes"] = {"release": ["1.1", "1.10", "1.2", "007", "nan"], "k": [1, 2]}
     study["published"] = {"file": str(tmp_path / "p.csv"), "source": "Table 2"}
     dataset = linksweep.run(study, tmp_path / "s", pool="serial")
@@ -303,3 +303,15 @@ def test_published_numbers_stand_at_the_point_that_is_meant_also_if_it_is_exclud
     judged = {(c.where["release"], c.where["k"]): c.verdict for c in compare(dataset)}
     wanted = {("1.1", 1): "incomplete", ("1.1", 2): "reproduced", ("1.10", 1): "reproduced"}
     assert judged.items() >= wanted.items()
+    (tmp_path / "p.csv").write_text("release,w\n1.10,4\n007,5\n")  # at the k of the study, an axis of the store
+    axes, two = {"release": ["1.10", "007", "8"]}, {"k": [1, 2]}
+    where = study["published"] | {"where": {"k": 3}}
+    for k, more in (
+        (2, {"fixed": {"k": 2}}),
+        (1, {"axes": axes | two}),
+        (None, {"axes": axes | two, "published": where}),
+    ):
+        study = {"experiment": study["experiment"], "published": study["published"], "axes": axes, **more}
+        linksweep.run(study, store := tmp_path / ("s" if k == 2 else f"t{k}"), pool="serial", keep=True)
+        wanted = [(k, "reproduced"), (k, "NOT reproduced")] if k else [(None, "incomplete")]
+        assert [(c.where.get("k"), c.verdict) for c in compare(linksweep.open(store))] == wanted
