@@ -87,6 +87,7 @@ GAIA_MARKS = {"source_id", "ref_epoch"}
 _MAYBE_J2000 = re.compile(r"^_|2000$")
 _STATED = re.compile(r"Ep(?:och)?\W{1,4}J?(\d{4}(?:\.\d+)?)")
 SAME_EPOCH = 0.01
+_YEAR = re.compile(r"\A\d{4}(\.\d*)?\Z")
 
 # Units of angles that are text, and whether these are hours.
 SEXAGESIMAL = {"deg": False, "d:m:s": False, "hourangle": True, "h": True, "h:m:s": True}
@@ -421,7 +422,7 @@ class Columns:
                 try:
                     with warnings.catch_warnings():  # astropy warns of years whose leap seconds are not known
                         warnings.simplefilter("ignore")
-                        years[row] = Time(texts[row].removesuffix("Z")).jyear
+                        years[row] = Time(_YEAR.sub(r"J\g<0>", texts[row]).removesuffix("Z")).jyear
                 except ValueError:
                     said = f"row {row + 1} has {str(texts[row])!r}"
                     self.problems.append(f"column {name!r} is text that is no date like 2015-06-01 or J2015.5: {said}")

@@ -503,7 +503,9 @@ def match_notes(satellite: AstrometricTable, table: AstrometricTable, matched: M
     if rows.further is not None:
         notes.append(f"accelerations in {name} are not compared: its rows are of their epochs")
     if len(left := np.flatnonzero(matched.place < 0)):
-        notes.append(f"{len(left)} of {len(matched.place)} rows of {name} match no source: {_listed(table, left)}")
+        said = f"{len(left)} of {len(matched.place)} rows of {name} match no source: {_listed(table, left)}"
+        blank = np.flatnonzero(np.isin(satellite.names.get(matched.by.partition(" = ")[0], ()), _NO_NAME))
+        notes.append(said + f"; no name in {named_rows(blank)} of {Path(satellite.path).name}" * (len(blank) > 0))
     exact, nearly = _repeated(matched, rows)
     ambiguous = np.flatnonzero(matched.second >= 0)
     both = zip(matched.place[ambiguous][:5], matched.second[ambiguous][:5], strict=True)

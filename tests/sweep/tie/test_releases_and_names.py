@@ -55,8 +55,10 @@ def test_identifiers_of_two_releases_are_different_names(tmp_path):
 @pytest.mark.parametrize("by", few(2, [None, "HIP", "hip", "name"]))
 def test_columns_of_names_are_the_same_in_any_case(tmp_path, by):
     numbers = np.arange(12) + 100
-    tables = two_tables(tmp_path, own={"hip": numbers}, other={"HIP": numbers})
-    assert linksweep.tie(*tables, "orientation", by=by).attrs["matched_by"] == "hip = HIP"
+    tables = two_tables(tmp_path, own={"hip": [*map(str, numbers[:-1]), ""]}, other={"HIP": numbers})
+    link = linksweep.tie(*tables, "orientation", by=by)
+    assert link.attrs["matched_by"] == "hip = HIP"
+    assert said(link, "11; no name in row 12 of own.ecsv")
     with pytest.raises(linksweep.SweepError, match="like '100"):
         linksweep.tie(*tables, "orientation", by="hipp")
 
