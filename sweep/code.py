@@ -333,7 +333,7 @@ class Reach:
             return value.dtype.str, value.shape, strides, digest_of(value.tobytes())
         # A wrapper of a library, whose other attributes may be caches.
         is_other = kind is not value.__class__ or distributions_of(kind.__module__) is not None
-        wraps = is_other and callable(value) and hasattr(value, "__wrapped__")
+        wraps = is_other and callable(value) and hasattr(value, "__wrapped__") and "__wrapped__" not in vars(kind)
         if isinstance(value, DESCRIPTORS) or (wraps and kind not in (MethodType, partial)):
             return [getattr(value, name, None) for name in WRAPPED]
         if isinstance(value, UNSTEADY) or value is os.environ or (kind is np.ufunc and "vectorized" in value.__name__):
@@ -342,11 +342,15 @@ class Reach:
         reduced = reduce(value) if reduce is not None else value.__reduce_ex__(4)
         if isinstance(reduced, str):  # to be found in its module
             self._is_users(getattr(value, "__module__", None) or kind.__module__)
-            return (reduced,)
+            if is_other:
+                return (reduced,)
+            reduced = reduced, (kind,), object.__getstate__(value)
         function, args, state, items, pairs = (*reduced, None, None, None)[:5]
         states = state if isinstance(state, tuple) else (state,)  # __dict__ and slots
         kept = [self._kept(kind, one) if isinstance(one, dict) else one for one in states]
-        return function, args, *kept, list(items or ()), list(pairs or ())
+        func = is_other and state is None and getattr(value, "func", None)  # which may be in args by its name only
+        inner = [func] if type(func) is FunctionType and not any(one is func for one in args) else []
+        return function, args, *kept, list(items or ()), list(pairs or ()), *inner
 
     def _kept(self, kind: type, state: dict[Any, Any]) -> list[Any] | None:
         """Return the attributes of an object that neither code changes nor are cached properties, in order; None if

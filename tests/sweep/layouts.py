@@ -18,7 +18,7 @@ LINKS = {  # what a module has to define so that NAME(x) calls INNER(x), which I
     "vectorised": "import numpy as np\n\nNAME_v = np.vectorize(lambda x: INNER(x))\n\ndef NAME(x):\n    return float(NAME_v(x))",
     "wrapped": "import functools\n\ndef NAME_deco(g):\n    @functools.wraps(g)\n    def inner(x):\n        return g(x)\n    return inner\n\n@NAME_deco\ndef NAME(x):\n    return INNER(x)",
     "registry": "NAME_all = {}\n\ndef NAME_add(g):\n    NAME_all[g.__name__] = g\n    return g\n\n@NAME_add\ndef one(x):\n    return INNER(x)\n\ndef NAME(x):\n    return NAME_all['one'](x)",
-    "partial": "import functools\n\ndef NAME_two(k, x):\n    return INNER(x) + k\n\nNAME = functools.partial(NAME_two, 0.0)",
+    "partial": "import functools, toolz\n\n@toolz.curry\ndef NAME_two(k, x): return INNER(x) + k\n\nNAME = functools.partial(NAME_two, 0.0)",
     "closure": "def NAME_make(g):\n    return lambda x: g(x)\n\nNAME = NAME_make(lambda x: INNER(x))",
     "counter": "class C_NAME:\n    def __init__(self):\n        self.calls = 0\n    def run(self, x):\n        self.calls += 1\n        return INNER(x)\n\nNAME = C_NAME().run",
     "lazy": "import functools\n\nclass C_NAME:\n    def __init__(self):\n        self.first = None\n    @functools.cached_property\n    def zero(self):\n        return 0.0\n    def run(self, x):\n        if self.first is None:\n            self.first = [x]\n        return INNER(x) + self.zero\n\nNAME_object = C_NAME()\n\ndef NAME(x):\n    return NAME_object.run(x)",
