@@ -21,6 +21,7 @@ from typing import Any
 import xarray as xr
 from numpy.random import Generator
 import linksweep
+from linksweep import Experiment, Output, Parameter, Point
 def throw(points: Sequence[Point], n_sim: int, rng: Generator, catalogue_rng: Generator) -> Mapping[str, Any]:
     return {"sum": [rng.normal(p["mean"], 1.0, n_sim).sum() for p in points]}
 experiment = Experiment(

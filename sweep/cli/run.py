@@ -14,6 +14,7 @@ import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stdout
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -614,6 +615,10 @@ def submit(
     from linksweep.sweep.running.merge import require_free
     from linksweep.sweep.stores.location import Folder, file_named
 
+    for before, word in pairwise(("", *more)):
+        is_value = before.startswith("-") and "=" not in before
+        if not (word.startswith("-") or is_value) or word.startswith("--wrap"):
+            raise linksweep.SweepError(f"--sbatch {word!r}: must be an option like --time=2:00:00, but not --wrap")
     for array in re.findall(r"(?m)^(?:--array[=\n]|-a[=\n]?)(.*)", "\n".join(more)):
         ends = re.split("[-,]", re.sub(":[0-9]+|%[0-9]+$", "", array))
         if not all(end.isdecimal() and 1 <= int(end) <= tasks for end in ends):

@@ -185,6 +185,7 @@ COMMANDS = [
     ("run study.toml --axis v_max=14:16:", "axes.v_max (--axis v_max=14:16:): step = '': must be a finite number"),
     ("run study.toml --workers 0", "Invalid value for '--workers': 0 is not in the range 1<=x<=4096"),
     ("run study.toml --pool serial --workers 2", "pool serial has no workers"),
+    *((f"submit study.toml --slurm 3 --sbatch={a}", f"--sbatch {a!r}: must be") for a in ("time=1:00", "--wrap=true")),
     *((f"submit study.toml --slurm 3 --sbatch={a}", "the parts are 1 to 3") for a in ("--array=0-2", "-a1-7", "-a")),
     ("run study.toml --retry --fresh", "--retry and --fresh contradict each other"),
     ("run study.toml --retry --set seed=8", "--retry computes points of a store as it is"),
