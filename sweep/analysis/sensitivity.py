@@ -48,6 +48,7 @@ HARMONICS = 8  # the most half-waves over the range of a parameter
 POINTS_FOR_EACH = 8  # points that are needed for each coefficient
 FEW_VALUES = 12  # the points of a parameter with no more different values are treated as groups
 PARTS = 32  # parts of the points that are left out in turn for the errors
+MORRIS_STEP = 0.5 * MORRIS_LEVELS / (MORRIS_LEVELS - 1)  # of the unit interval
 ROUNDING = 1e-12  # indices below this share of the largest are rounding errors of a parameter without any effect
 
 
@@ -148,7 +149,7 @@ def _of_points(dataset: xr.Dataset, seed: int) -> _Method:
         parameters = [name for name in quantity.varied_parameters(dataset) if name in parameters]
         if not parameters:
             raise SweepError("the points do not differ in any parameter")
-    places = [_places(dataset, name, ranges.get(name)) for name in parameters]
+    places = [_places(dataset, name, ranges.get(name), design) for name in parameters]
     if design == "saltelli":
         noise = "Monte-Carlo errors of the points count as interactions: they are in the total indices"
         notes = [noise] if "seed" in dataset.attrs else []  # a function without random numbers has no seed
@@ -190,14 +191,20 @@ def _of_grid(dataset: xr.Dataset, seed: int) -> _Method:
     return _Method("analysis of variance of the grid", parameters, over, INDICES, estimate, notes)
 
 
-def _places(dataset: xr.Dataset, name: str, spec: Any) -> Array:
-    """Return the places of a parameter's values in the unit interval: by its range in the design, or by their order."""
-    array = dataset[name]
+def _places(dataset: xr.Dataset, name: str, spec: Any, design: str) -> Array:
+    """Return the places of a parameter's values in the unit interval: by its range in the design, or by their order.
+
+    In a morris design, whose effects are over the whole range, all numbers go from 0 to 1.
+    """
+    array, is_morris = dataset[name], design == "morris"
+    if is_morris and isinstance(spec, dict) and "values" in spec:
+        spec = [min(spec["values"]), max(spec["values"])]
     if isinstance(spec, list):
         spec = {"low": spec[0], "high": spec[1]}
     if isinstance(spec, dict) and "low" in spec:
         log = spec.get("spacing") == "log"
-        return Range(name, spec["low"], spec["high"], log, whole=array.dtype.kind == "i").places(array.values)
+        is_whole = array.dtype.kind == "i" and not is_morris
+        return Range(name, spec["low"], spec["high"], log, whole=is_whole).places(array.values)
     values = array.values.astype(str) if array.dtype.kind == "O" else array.values
     _, place, counts = np.unique(values, return_inverse=True, return_counts=True)
     before = np.cumsum(counts) - counts
@@ -306,11 +313,16 @@ def morris_effects(values: Array, places: Array, seed: int = 0) -> list[Array]:
     """Return the mean of absolute elementary effects with its error, the mean effect, and their standard deviation,
     each (parameters,), of values (points,) at ``places`` (points, parameters) of the unit cube.
 
-    An effect is the change of the value over the whole range of a parameter.  Raises SweepError without SALib.
+    An effect is the change of the value over the whole range of a parameter.  SALib takes all steps for equal: those of
+    the values are made so, where integers and listed numbers go by other steps.  Raises SweepError without SALib.
     Source: Campolongo et al. 2007, Environmental Modelling & Software 22, 1509.
     """
+    paths = values.reshape(-1, places.shape[1] + 1).copy()
+    steps = np.abs(np.diff(places.reshape(*paths.shape, -1), axis=1)).max(axis=-1) / MORRIS_STEP
+    longer = np.where(np.isclose(steps, 1.0), 0.0, 1.0 / steps - 1.0)
+    paths[:, 1:] += np.cumsum(np.diff(paths, axis=1) * longer, axis=1)
     keys = ("mu_star", "mu_star_conf", "mu", "sigma")
-    return _by_salib("morris", places.shape[1], keys, places, values, seed=seed, num_levels=MORRIS_LEVELS)
+    return _by_salib("morris", places.shape[1], keys, places, paths.ravel(), seed=seed, num_levels=MORRIS_LEVELS)
 
 
 def _by_salib(

@@ -101,15 +101,16 @@ def test_indices_of_designs_of_both_functions(design, tmp_path):
 
 
 def test_morris_effects_of_a_linear_function_are_its_slopes(tmp_path):
-    def plane(a: float, b: float, c: float):
-        return {"z": 3.0 * a - 2.0 * b + 0.0 * c, "product": a * b * c}
+    def plane(a: float, b: float, c: float, k: int, n: float):
+        return {"z": 3.0 * a - 2.0 * b + 0.0 * c + 10.0 * k - n, "product": a * b * c}
 
-    points = {"design": "morris", "n": 6, "ranges": {"a": [0, 1], "b": [0, 10], "c": [1, 2]}}
+    ranges = {"a": [0, 1], "b": [0, 10], "c": [1, 2], "k": [0, 5], "n": {"values": [9, 1, 2, 4, 8]}}
+    points = {"design": "morris", "n": 6, "ranges": ranges}
     ds = run(plane, tmp_path / "s.zarr", points=points)
     far = sensitivity(ds.assign(product=2.0**600 * ds["product"]), "product")
     assert far.equals(2.0**600 * sensitivity(ds, "product"))
     found = sensitivity(ds, "z")
-    effects = np.array([[3.0, 20.0, 0.0], [3.0, -20.0, 0.0], [0.0, 0.0, 0.0]])
+    effects = np.array([[3.0, 20.0, 0.0, 50.0, 8.0], [3.0, -20.0, 0.0, 50.0, -8.0], [0.0] * 5])
     assert found[["mu_star", "mu", "sigma"]].to_array().values == pytest.approx(effects, abs=1e-9)
 
 
