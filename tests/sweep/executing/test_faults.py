@@ -148,7 +148,7 @@ def test_a_scheduler_that_dies_ends_the_run_and_loses_nothing(start, link_study,
     words = f"error: the connection to the Dask scheduler at {outside.address} is lost; what was finished is kept"
     assert words in to_its_end(process, 2)
     code, _, err = sweep("run", link_study, "-o", tmp_path / "s.zarr", *LONG)
-    assert (code, "already" in err or "part of the realisations" in err) == (0, True), err
+    assert (code, "720,000 realisations to do" in err) == (0, False), err  # these are all
     same(tmp_path / "s.zarr", reference)
 
 
