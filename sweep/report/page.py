@@ -415,6 +415,7 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> dict[str
     title = str(about.get("title", store))
     shown = dict.fromkeys([*answer.said_first(dataset), *names, *quantity.array_outputs(dataset)])
     figures = pictures(dataset, list(shown), number)
+    has_errors = any(quantity.standard_error(dataset, name) is not None for name in names)
     further, decided = {}, {}
     for table in tables.tables_with_errors(final, MOST_ROWS):
         meaning = dataset[table.title.split()[0]].attrs["long_name"]
@@ -445,7 +446,7 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> dict[str
         "not_explored": left_out,
         "numbers": numbers,
         "results": _sortable(tables.headline_table(dataset, MOST_ROWS), tables.rows_left_out(dataset, MOST_ROWS)),
-        "caption": "Headline results, ± their one-sigma errors",
+        "caption": f"Headline results{', ± their one-sigma errors' if has_errors else ''}",
         "tables": further,
         "comparison": _sortable(compare.table(sorted(comparisons, key=_severity))) if comparisons else None,
         "notes": [*tables.warnings_of(dataset), *compare.notes(comparisons), *compare.remarks(dataset)],

@@ -407,15 +407,19 @@
       ["left", "x", "right"].forEach((name, k) => { columns[name] = (row) => alongX.get(row.i)[k]; });
       ["bottom", "y", "top"].forEach((name, k) => { columns[name] = (row) => alongY.get(row.j)[k]; });
       const source = sourceOf(columns, known);
-      const [low, high] = this.quantity.truth ? [0, 1] : [least(source.data.number), largest(source.data.number)];
-      const mapper = new Bokeh[logValue ? "LogColorMapper" : "LinearColorMapper"]({ palette: Bokeh.Palettes.Cividis256, low, high });
+      const { truth } = this.quantity;
+      const [low, high] = truth ? [-0.5, 1.5] : [least(source.data.number), largest(source.data.number)];
+      const palette = Bokeh.Palettes.Cividis256.filter((_, k) => !truth || k % 255 === 0);
+      const mapper = new Bokeh[logValue ? "LogColorMapper" : "LinearColorMapper"]({ palette, low, high });
       const look = { source, fill_color: { field: "number", transform: mapper }, fill_alpha: { field: "alpha" }, line_color: null };
       const [left, right, bottom, top, atX, atY] = ["left", "right", "bottom", "top", "x", "y"].map((field) => ({ field }));
       const drawn = isDots ? figure.scatter(atX, atY, { ...look, size: 9 }) : figure.quad(left, right, bottom, top, look);
       this.hover(figure, [drawn], x);
       const place = this.element.clientWidth < 500 ? "below" : "right";
       const text = { title_text_color: ink, major_label_text_color: ink, title_text_font_style: "normal", background_fill_alpha: 0 };
-      figure.add_layout(new Bokeh.ColorBar({ color_mapper: mapper, title: plain(this.labelOf(this.quantity)), ...text }), place);
+      const bar = new Bokeh.ColorBar({ color_mapper: mapper, title: plain(this.labelOf(this.quantity)), ...text });
+      if (truth) named(bar, bar, ["False", "True"]);
+      figure.add_layout(bar, place);
     }
 
     // Dragging in the plot chooses the range of the values under it, on every axis of numbers that it shows.
