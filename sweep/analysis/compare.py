@@ -59,7 +59,7 @@ At = tuple[dict[str, int], Measured]
 
 def in_words(derived: Slope | Ratio | Reading) -> str:
     """Return how the quantity of a claim is derived."""
-    name = derived.variable + (f"[{derived.component}]" if derived.component else "")
+    name = derived.variable + ("" if derived.component is None else f"[{derived.component}]")
     if isinstance(derived, Slope):
         return f"slope of {name} over {derived.over}"
     if isinstance(derived, Ratio):
@@ -103,7 +103,7 @@ def measure(dataset: xr.Dataset, claim: Derived, derived: Slope | Ratio | Readin
             yield one
 
 
-def _problem(dataset: xr.Dataset, name: str, component: str | None = None) -> str:
+def _problem(dataset: xr.Dataset, name: str, component: str | float | None = None) -> str:
     """Return why a result, or a component of one, is not a number at each point; '' if it is."""
     if name not in dataset:
         return f"{name} is not a result of this store" if Status.DONE in dataset["status"].values else NOT_DONE
@@ -111,18 +111,20 @@ def _problem(dataset: xr.Dataset, name: str, component: str | None = None) -> st
     if dataset[name].dtype.kind not in "biuf" or len(dims) > 1:
         return f"{name} is neither one number at each point nor one for each component"
     wanted = f"one of {first_of(labels, FEW)}" if labels else "left out"
-    return "" if component in (labels or (None,)) else f"the component of {name} must be {wanted}"
+    is_there = any(quantity.is_meant(label, component) for label in labels) if labels else component is None
+    return "" if is_there else f"the component of {name} must be {wanted}"
 
 
-def _components(dataset: xr.Dataset, name: str) -> list[str]:
-    return [str(label) for dim in quantity.own_dimensions(dataset, name) for label in dataset[dim].values.tolist()]
+def _components(dataset: xr.Dataset, name: str) -> list[Any]:
+    return [label for dim in quantity.own_dimensions(dataset, name) for label in dataset[dim].values]
 
 
 def _of_component(dataset: xr.Dataset, derived: Slope | Ratio | Reading) -> xr.Dataset:
     if derived.component is None:
         return dataset
     (dimension,) = quantity.own_dimensions(dataset, derived.variable)
-    return dataset.isel({dimension: _components(dataset, derived.variable).index(derived.component)})
+    labels = _components(dataset, derived.variable)
+    return dataset.isel({dimension: next(i for i, x in enumerate(labels) if quantity.is_meant(x, derived.component))})
 
 
 def _fixed(dataset: xr.Dataset, where: Mapping[str, Any]) -> dict[str, int]:

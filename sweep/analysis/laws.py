@@ -445,7 +445,8 @@ def _expected(dataset: xr.Dataset, made: Lines, line: Line) -> float:
         law = claim.slope
         if law is None or (law.variable, law.over) != (made.variable, made.over):
             continue
-        if law.component in (None, *place.values()) and all(place.get(k) == v for k, v in claim.where.items()):
+        is_meant = law.component is None or any(quantity.is_meant(one, law.component) for one in place.values())
+        if is_meant and all(place.get(k) == v for k, v in claim.where.items()):
             return float(claim.published)
     return np.nan
 

@@ -464,7 +464,7 @@ def indices(dataset: xr.Dataset, places: Mapping[str, Any]) -> dict[str, list[in
         dimension = str(dataset[name].dims[0])
         values = listed(dataset, name, [dimension])
         exact = list(dataset[name].values) if dataset[name].dtype.kind == "M" else values
-        hits = {i for i, value in enumerate(exact) if _is_meant(value, wanted)} or meant(values, wanted)
+        hits = {i for i, value in enumerate(exact) if is_meant(value, wanted)} or meant(values, wanted)
         if not hits and str(wanted).lower() == "none":  # as a text says that a parameter has no effect
             hits = {i for i, value in enumerate(values) if value == ""}
         if not hits and not isinstance(wanted, str):
@@ -494,7 +494,8 @@ def between(dataset: xr.Dataset, axis: str, low: float, high: float) -> xr.Datas
     return dataset.isel({dataset[axis].dims[0]: inside})
 
 
-def _is_meant(value: object, wanted: Any) -> bool:
+def is_meant(value: object, wanted: Any) -> bool:
+    """Return whether a label or a value of an axis is what is wanted, perhaps as a text."""
     if is_missing(value):  # where a conditional parameter has no effect
         return str(wanted).lower() in ("nan", "none")
     if isinstance(value, bool) and isinstance(wanted, str):

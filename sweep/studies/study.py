@@ -355,7 +355,7 @@ class Quantity(Section, frozen=True):
     """A number that the grid gives, of one component of an output."""
 
     variable: Annotated[str, _checked(_variable)]
-    component: str | None = None
+    component: Any = None
 
     @property
     def places(self) -> dict[str, dict[str, Any]]:
@@ -364,6 +364,8 @@ class Quantity(Section, frozen=True):
 
     @model_validator(mode="after")
     def _has_component(self, info: ValidationInfo) -> Self:
+        if self.component is not None and type(self.component) not in (str, int, float):
+            raise ValueError(f"component = {shown(self.component)}: must be a text or a number")
         if info.context is not None and not info.context.experiment.undeclared:
             (output,) = (one for one in info.context.experiment.outputs if one.name == self.variable)
             labels = info.context.experiment.coordinates[output.dims[0]] if output.dims else ()

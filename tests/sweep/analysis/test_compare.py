@@ -271,7 +271,7 @@ def test_a_plain_function_has_claims_a_conclusion_and_published_numbers(tmp_path
         return {"w": a**1.5, "word": "x", "pair": [a, 2.0 * a]}
 
     wanted = [claim(slope={"variable": "w", "over": "a"}, published="1.5")]
-    wanted += [claim(value={"variable": "pair", "component": "1", "at": {"a": 4.0}}, published="8.0")]
+    wanted += [claim(value={"variable": "pair", "component": 1.0, "at": {"a": 4.0}}, published="8.0")]
     wrong = {"depth": "depth is not a result", "word": "neither one number", "pair": "must be one of 0, 1"}
     lost = [claim(value={"variable": name, "at": {"a": 1.0}}) for name in wrong]
     values = {name: {"value": {"variable": name, "at": {"a": 2.0}}} for name in ("w", "depth")}
