@@ -152,7 +152,7 @@ def test_the_page_changes_beside_a_run(chromium, beside, evil_store, start_sweep
     assert "period" in chromium.find_element("css selector", "#failures-0 pre").text
     chromium.find_elements("css selector", "#tiles-0 i")[-1].click()
     assert chromium.find_element("css selector", ".said").text == "length=2.0,noise=0.2: failed"
-    wait_for("document.querySelector('#figure-1 p')")
+    wait_for("document.querySelector('#figure-1 svg')")  # whatever its names are
     assert chromium.execute_script("return document.documentElement.scrollWidth") <= width
     assert not chromium.execute_script("return window.owned")
     sent = requests(chromium)
