@@ -423,7 +423,8 @@ class Reach:
         if nodes:
             self.places[f"function {label}"] = f"{code.co_filename}, line {nodes[0].lineno}"
             if function.__name__ not in MAKING:
-                changes = [name for node in nodes for name in _changes(node)]
+                others = {*_names_in(code), *code.co_freevars}
+                changes = [name for node in nodes for name in _changes(node, others)]
                 self._changes.append((function.__name__, {home_of(one, names, names.get(one))[0] for one in changes}))
         elif not function.__name__.startswith("__"):  # what dataclasses make is in their class already
             self.unnoticed[self._through or label] = "function without source"
@@ -492,13 +493,17 @@ class Reach:
         """Return what the import statements in some code bind; what is not the user's is not imported for this."""
         bound, package = dict[str, Any](), names.get("__package__")
         inside = [one for node in nodes for one in ast.walk(node)]
+        called = [one.asname for one in inside if isinstance(one, ast.alias) and one.name == "import_module"]
+        called += [name for name, value in names.items() if value is importlib.import_module]
+        ends = "import_module", "__import__", *map(".{}".format, called)
         for one in inside:
             with suppress(Exception):  # raised again by the function where it is called
                 if isinstance(one, IMPORTS):
                     if True in [self._is_users(module.partition(".")[0]) for module, _ in names_of(one, package)]:
                         exec(unparsed(one), {"__package__": package}, bound)
-                elif isinstance(one, ast.Call) and unparsed(one.func).endswith(("import_module", "__import__")):
-                    name = importlib.util.resolve_name(ast.literal_eval(one.args[0]), package)
+                elif isinstance(one, ast.Call) and f".{unparsed(one.func)}".endswith(ends):
+                    named = [*one.args, *(each.value for each in one.keywords if each.arg == "name")][0]
+                    name = importlib.util.resolve_name(ast.literal_eval(named), package)
                     self._code(importlib.import_module(name) if self._is_users(name) else None)
         self._imports(inside, names)
         return bound
@@ -657,9 +662,9 @@ def _chains(node: ast.AST) -> frozenset[str]:
     return frozenset(chain for chain in chains if re.fullmatch(r"[\w.]+", chain))
 
 
-def _changes(node: ast.AST) -> Iterator[str]:
-    """Yield the names, also of attributes, that some code changes: those that it declares to be of others, and those of
-    which it sets an attribute or an item, or calls a method that changes its object.
+def _changes(node: ast.AST, others: Collection[str]) -> Iterator[str]:
+    """Yield the names, of others or of attributes, that a function changes: those that it declares to be of others, and
+    those of which it sets an attribute or an item, or calls a method that changes its object.
     """
     for one in ast.walk(node):
         if isinstance(one, ast.Global | ast.Nonlocal):
@@ -668,7 +673,8 @@ def _changes(node: ast.AST) -> Iterator[str]:
         whole = target
         while isinstance(whole, ast.Subscript):
             whole = whole.value
-        yield str(getattr(whole, "attr", getattr(whole, "id", "")))
+        if isinstance(whole, ast.Attribute) or getattr(whole, "id", "") in others:
+            yield str(getattr(whole, "attr", getattr(whole, "id", "")))
 
 
 def _changed(nodes: Iterable[ast.AST]) -> Iterator[ast.expr]:

@@ -32,7 +32,7 @@ LINKS = {  # what a module has to define so that NAME(x) calls INNER(x), which I
     "given to an object": "class A_NAME:\n    def __init__(self):\n        self.table, self.calls = {}, 0\n    def add(self, name):\n        def keep(g):\n            self.table[name] = g\n            return g\n        return keep\n    def run(self, name, x):\n        self.calls += 1\n        return self.table[name](x)\n\nA_NAME_all = A_NAME()\n\n@A_NAME_all.add('one')\ndef NAME_one(x):\n    return INNER(x)\n\ndef NAME(x):\n    return A_NAME_all.run('one', x)",
 }
 ENDS = {  # how the constant, CONSTANT, comes into NAME(x)
-    "literal": "def NAME(x):\n    return x + CONSTANT",
+    "changes a name of its own": "def NAME_one(w):\n    w[0] = 0.0\n    return w[0]\n\nNAME_k = [CONSTANT]\nw = vars()['NAME_' + 'k']\n\ndef NAME(x):\n    return NAME_one([x]) + w[0]",
     "global": "K_NAME = CONSTANT\n\ndef NAME(x):\n    return x + K_NAME",
     "default": "def NAME(x, k=CONSTANT):\n    return x + k",
     "keyword": "def NAME(x, *, k=CONSTANT):\n    return x + k",
