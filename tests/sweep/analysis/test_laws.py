@@ -197,7 +197,7 @@ def test_options_of_commands_say_what_arguments_of_functions_do(tmp_path, sweep_
                 np.testing.assert_array_equal(found, finite.reshape(-1), err_msg=f"{command}: {name}")
 
 
-def test_what_has_no_place_and_no_errors_is_printed_without(tmp_path, sweep_here):
+def test_what_has_no_place_and_no_errors_is_printed_without(tmp_path, sweep_here, start_sweep):
     def kernel(name: str = "flat", width: float = 1.0):
         return {"z": 7.0 if name == "flat" else 3.0 * width}
 
@@ -210,6 +210,8 @@ def test_what_has_no_place_and_no_errors_is_printed_without(tmp_path, sweep_here
     linksweep.run(kernel, tmp_path / "t.zarr", points={"name": ["flat", "rbf"], "width": [1.0, 2.0]}, pool="serial")
     for more, words in ((), "no point meets z > 50\n"), (("--over", "width"), "none, as points differ in name, w"):
         assert words in "".join(sweep_here("find", tmp_path / "t.zarr", "--where", "z > 50", *more)[1:])
+    err = start_sweep("find", tmp_path / "t.zarr", "--where", "z > 5 erg/s/cm2").communicate()[1]
+    assert ("not convertible" in err, "Warning" in err) == (True, False)
 
 
 @pytest.mark.parametrize("noise", [slow(0.03), 0.1, slow(0.3), 0.5])
