@@ -229,6 +229,10 @@ class Grid:
         """Return where along each dimension the points at ``indices`` are."""
         return [along.tolist() for along in np.unravel_index(indices, self.shape)] if self.shape else []
 
+    def draw(self, parameters: Mapping[str, Any]) -> tuple[Value, ...]:
+        """Return a key that is equal for two points of this grid exactly if they share their random numbers."""
+        return tuple(parameters[name] for name in self._names if name not in self._shared)
+
     def excludes(self, parameters: Mapping[str, Any], gone: Collection[str] | None = None) -> bool:
         """Return whether the study leaves out a point with these parameters, of which some have no effect (``gone``) if
         that is known already.
