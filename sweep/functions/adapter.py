@@ -144,32 +144,31 @@ def _read_signature(function: Callable[..., Any], problems: list[str]) -> "Funct
         problems.append(f"is a class, a NumPy ufunc, async or a generator; {wrap}")
     arguments: Mapping[str, inspect.Parameter] = {}
     try:
-        arguments = {} if problems else inspect.signature(function, eval_str=True).parameters
-        names = dict(getattr(inspect.unwrap(call), "__globals__", {}))
-        quoted = {name: one for name, one in arguments.items() if isinstance(one.annotation, str)}  # a text in a text
-        within = {name: one.replace(annotation=eval(one.annotation, names)) for name, one in quoted.items()}
-        arguments = {**arguments, **within}
-    except Exception as error:  # whatever an annotation is that is written as a text
-        problems.append(f"Python cannot read its signature: {error}; {wrap}")
+        arguments = {} if problems else inspect.signature(function).parameters
+    except (ValueError, TypeError):
+        problems.append(f"Python cannot read its signature; {wrap}")
     if (first := next(iter(arguments), "")) in ("self", "cls") and "." in getattr(function, "__qualname__", ""):
         problems.append(f"is a method and takes {first}; give the method of an object, thing.{name}")
         arguments = {}
-    parameters, rng = [], RNG in arguments
+    parameters, rng, names = [], RNG in arguments, getattr(inspect.unwrap(call), "__globals__", {})
     for argument in arguments.values():
         if argument.kind not in (argument.POSITIONAL_OR_KEYWORD, argument.KEYWORD_ONLY):
             problems.append(f"{argument} is {argument.kind.description}, and parameters are given by name; {wrap}")
         elif argument.name != RNG and not (rng and argument.name == N_SIM):
-            parameters.append(_parameter(argument))
+            try:
+                parameters.append(_parameter(argument, names))
+            except ValueError as error:
+                problems.append(str(error))
     made = _undeclared(name, tuple(parameters), (), rng)
     return replace(made, call=function, takes_n_sim=rng and N_SIM in arguments)
 
 
-def _parameter(argument: inspect.Parameter) -> Parameter:
-    """Return the parameter of one argument.
+def _parameter(argument: inspect.Parameter, names: Mapping[str, Any]) -> Parameter:
+    """Return the parameter of one argument, of a function of a module with these names; raises ValueError.
 
     Its default is None where that of the argument is no value that a study can write: then the call leaves it out.
     """
-    name, annotation = argument.name, argument.annotation
+    name, annotation = argument.name, _annotation(argument, names)
     required = argument.default is argument.empty
     default = None if required else argument.default
     if isinstance(default, np.generic):
@@ -198,6 +197,18 @@ def _parameter(argument: inspect.Parameter) -> Parameter:
     choices = choices or noted.choices
     made = replace(noted, name=name, kind=kind, meaning=meaning, choices=choices, required=required)
     return replace(made, default=default, optional=optional, finite=False)
+
+
+def _annotation(argument: inspect.Parameter, names: Mapping[str, Any]) -> Any:
+    """Return the annotation of an argument, also one that is written as a text; raises ValueError."""
+    annotation = argument.annotation
+    try:
+        for _ in range(2):  # a text in a text, as `from __future__ import annotations` makes it
+            annotation = eval(annotation, dict(names)) if isinstance(annotation, str) else annotation
+    except Exception as error:  # whatever a text is
+        text = f"parameter {argument.name!r}: its annotation {shown(annotation)} cannot be read"
+        raise ValueError(f"{text}: {error}") from error
+    return annotation
 
 
 def _kind(annotation: Any) -> tuple[Kind | None, tuple[Any, ...]]:

@@ -102,7 +102,7 @@ def measured(x: "number of stars" = 1):  # noqa: F722
 
 
 REFUSED = [
-    (measured, "function measured: Python cannot read its signature: invalid syntax"),
+    (measured, "function measured: parameter 'x': its annotation 'number of stars' cannot be read: invalid syntax"),
     *((math.sin, "x is positional-only"), (lambda *args: 1, r"\*args is variadic"), (max, "its signature|is variadic")),
     *((lambda **options: 1, r"\*\*options is variadic"), (np.hypot, "a NumPy ufunc.*wrap it in a function")),
     *((Thing, "is a class"), (Thing.method, "is a method and takes self")),
