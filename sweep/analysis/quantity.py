@@ -435,10 +435,11 @@ def point_at(store: Where, study: Study, places: Mapping[str, str]) -> GridPoint
     there = part["status"].transpose(*dimensions).values != Status.EXCLUDED
     points = {point.digest: point for point in grid.points(part["number"].values[there])}
     if not points:
-        raise SweepError(f"{', '.join(f'{n} = {v}' for n, v in places.items())}: the study excludes that", str(store))
+        raise SweepError(f"{', '.join(f'{n} = {v}' for n, v in places.items())}: has no point there", str(store))
     if len(points) > 1:
         several = [str(d) for d, along in zip(dimensions, there.nonzero(), strict=True) if len({*along}) > 1]
-        choices = {name: first_of(plain(listed(part, name, [name])), FEW) for name in several}
+        values = {name: dict.fromkeys(text or "none" for text in plain(listed(part, name, [name]))) for name in several}
+        choices = {name: first_of([*texts], FEW) for name, texts in values.items()}
         raise SweepError([f"--at: {name} needs a value, one of {some}" for name, some in choices.items()], str(store))
     return points.popitem()[1]
 
@@ -471,8 +472,10 @@ def indices(dataset: xr.Dataset, places: Mapping[str, Any]) -> dict[str, list[in
             with suppress(ValueError):  # an axis with objects has their labels; some objects can have none
                 label = labelled(wanted).name
                 hits = {i for i, value in enumerate(values) if value == label}
+        if not hits:  # numbers beside None, of which the coordinate has texts
+            hits = {i for i, value in enumerate(values) if isinstance(value, str) and is_same_number(value, wanted)}
         if not hits:
-            there = first_of([text or "none" for text in plain(values)], FEW)
+            there = first_of([text or "none" for text in dict.fromkeys(plain(values))], FEW)
             problems.append(f"{name} = {wanted} is not in the grid, which has {there}")
         elif not chosen.setdefault(dimension, hits) & hits:
             problems.append(f"{name} = {wanted} is at no point with the other values that are given along {dimension}")
@@ -492,6 +495,14 @@ def between(dataset: xr.Dataset, axis: str, low: float, high: float) -> xr.Datas
         ends = f"it goes from {texts[np.nanargmin(values)]} to {texts[np.nanargmax(values)]}"
         raise SweepError(f"{axis} has no value from {' to '.join(plain([low, high]))}; {ends}")
     return dataset.isel({dataset[axis].dims[0]: inside})
+
+
+def is_same_number(text: str, wanted: Any) -> bool:
+    """Return whether a text is the number that is wanted, which may be a text, too."""
+    try:
+        return float(text) == float(wanted)
+    except (TypeError, ValueError):
+        return False
 
 
 def is_meant(value: object, wanted: Any) -> bool:
