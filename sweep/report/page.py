@@ -429,6 +429,7 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> dict[str
                     further[f"S{indices.notes()[0][1:]}"] = _sortable(indices.tables()[0])
                     untitled = indices.dataset.assign_attrs(title="")
                     figures.append(drawn(untitled, f"sensitivity of {name}", f"{number}-{name}"))
+    document = json.loads(about.get("study_document", "{}"))
     return {
         "store": store,
         "title": title,
@@ -455,7 +456,7 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> dict[str
         "failures_not_named": int((dataset["status"] == Status.FAILED).sum()) - len(failures),
         "provenance": _provenance("study", about) | {name: f"version {one}" for name, one in versions.items()},
         # a run from Python has no file
-        "study": about.get("study") or json.dumps(json.loads(about.get("study_document", "{}")), indent=1),
+        "study": about.get("study") or "\n".join(f"{key}: {json.dumps(one)}" for key, one in document.items()),
         "version": str(versions.get("linksweep", "unknown")),
     }
 
