@@ -63,8 +63,9 @@ PLAIN = (bool, int, float, complex, str, bytes, type(None))
 # Methods that change their object: those that its unchangeable twin lacks.
 CHANGING = {*dir(list), *dir(set), *dir(dict)} - {*dir(tuple), *dir(frozenset), *dir(MappingProxyType)}
 
-# Methods that make an object: what they set is how it begins, not a change.
-MAKING = ("__init__", "__new__", "__post_init__", "__init_subclass__", "__set_name__")
+# Methods that make an object: what they set of it is how it begins, not a change; so is all that those of classes do.
+MAKING = ("__init__", "__new__", "__post_init__")
+MAKING_CLASSES = ("__init_subclass__", "__set_name__")
 
 # What pickle may take apart, but is not the same from call to call.
 UNSTEADY = (io.IOBase, np.random.Generator, np.random.RandomState, random.Random)
@@ -347,6 +348,8 @@ class Reach:
             reduced = reduced, (kind,), object.__getstate__(value)
         function, args, state, items, pairs = (*reduced, None, None, None)[:5]
         states = state if isinstance(state, tuple) else (state,)  # __dict__ and slots
+        if not is_other:  # also before the first call
+            self._is_partial |= not self._changed.isdisjoint(_set_by(kind))  # type: ignore[arg-type]
         kept = [self._kept(kind, one) if isinstance(one, dict) else one for one in states]
         func = is_other and state is None and getattr(value, "func", None)  # which may be in args by its name only
         inner = [func] if type(func) is FunctionType and not any(one is func for one in args) else []
@@ -422,10 +425,12 @@ class Reach:
         text += "".join(self._refer(f"{k} of {label}", v, names) for k, v in _closure(function).items())
         if nodes:
             self.places[f"function {label}"] = f"{code.co_filename}, line {nodes[0].lineno}"
-            if function.__name__ not in MAKING:
-                others = {*_names_in(code), *code.co_freevars}
-                changes = [name for node in nodes for name in _changes(node, others)]
-                self._changes.append((function.__name__, {home_of(one, names, names.get(one))[0] for one in changes}))
+            if (name := function.__name__) not in MAKING_CLASSES:
+                imported = [one.name for node in nodes for one in ast.walk(node) if isinstance(one, ast.alias)]
+                others = {*_names_in(code), *code.co_freevars, *imported}
+                changes = [one for node in nodes for one in _changes(node, others, name in MAKING)]
+                called = f"{function.__qualname__.split('.')[-2:][0]}()" if name in MAKING else name
+                self._changes.append((called, {home_of(one, names, names.get(one))[0] for one in changes}))
         elif not function.__name__.startswith("__"):  # what dataclasses make is in their class already
             self.unnoticed[self._through or label] = "function without source"
             nodes = [ast.Name(name) for name in sorted(_names_in(code))]  # what it reaches counts
@@ -464,6 +469,7 @@ class Reach:
         before = {one for node in nodes for one in _nodes_at_import(node)} if function else set()
         ran = {one for node in nodes for one in ast.walk(node)} - before
         self._called |= {one.attr for one in ran if isinstance(one, ast.Attribute)}
+        self._called |= {f"{unparsed(one.func).rpartition('.')[2]}()" for one in ran if isinstance(one, ast.Call)}
         bound = self._imported(nodes, names)
         texts = [*map(unparsed, nodes)]
         code = function.__code__ if function else compile("\n".join(texts), "", "exec", ast.PyCF_ALLOW_TOP_LEVEL_AWAIT)
@@ -540,6 +546,13 @@ def _closure(function: FunctionType) -> dict[str, Any]:
     """Return the names in a function's closure with their values."""
     cells = zip(function.__code__.co_freevars, function.__closure__ or (), strict=True)
     return {name: cell.cell_contents for name, cell in cells if cell != CellType()}  # this one is not filled yet
+
+
+@lru_cache(maxsize=256)
+def _set_by(kind: type) -> set[str]:
+    """Return the names of attributes that methods of a class set."""
+    methods = [one for base in kind.__mro__ for one in vars(base).values() if isinstance(one, FunctionType)]
+    return {each.argval for one in methods for each in dis.get_instructions(one) if each.opname == "STORE_ATTR"}
 
 
 def _contents(value: Any, depth: int = 5) -> str:
@@ -662,9 +675,10 @@ def _chains(node: ast.AST) -> frozenset[str]:
     return frozenset(chain for chain in chains if re.fullmatch(r"[\w.]+", chain))
 
 
-def _changes(node: ast.AST, others: Collection[str]) -> Iterator[str]:
+def _changes(node: ast.AST, others: Collection[str], is_making: bool) -> Iterator[str]:
     """Yield the names, of others or of attributes, that a function changes: those that it declares to be of others, and
-    those of which it sets an attribute or an item, or calls a method that changes its object.
+    those of which it sets an attribute or an item, or calls a method that changes its object; what makes an object
+    changes only those of others.
     """
     for one in ast.walk(node):
         if isinstance(one, ast.Global | ast.Nonlocal):
@@ -673,7 +687,7 @@ def _changes(node: ast.AST, others: Collection[str]) -> Iterator[str]:
         whole = target
         while isinstance(whole, ast.Subscript):
             whole = whole.value
-        if isinstance(whole, ast.Attribute) or getattr(whole, "id", "") in others:
+        if unparsed(whole).partition(".")[0] in others or (isinstance(whole, ast.Attribute) and not is_making):
             yield str(getattr(whole, "attr", getattr(whole, "id", "")))
 
 

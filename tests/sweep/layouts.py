@@ -6,9 +6,8 @@ import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
+# Beside main.py, in a package there, and in a package that PYTHONPATH finds.
 PLACES = ("", "local/", "../lib/pkg/", "../lib/pkg/sub/")
-"""Folders of modules, from the folder of ``main.py``: beside it, in a package there, in a package that PYTHONPATH finds."""
-
 LINKS = {  # what a module has to define so that NAME(x) calls INNER(x), which IMPORT makes known there
     "call": "def NAME(x):\n    return INNER(x)",
     "inner import": "def NAME(x):\n    IMPORT\n    return INNER(x)",
@@ -71,7 +70,7 @@ ENDS = {  # how the constant, CONSTANT, comes into NAME(x)
     "hook of a class": "class B_NAME:\n    S = {}\n    def __init_subclass__(cls, k=0.0):\n        B_NAME.S['k'] = k\n\nclass C_NAME(B_NAME, k=CONSTANT):\n    pass\n\ndef NAME(x):\n    B_NAME.S.setdefault('calls', 0)\n    return x + B_NAME.S['k']",
     "beside a lock": "import threading\n\nL_NAME = threading.Lock()\n\ndef NAME(x):\n    with L_NAME:\n        return x + CONSTANT",
 }
-UNUSED = """
+UNUSED = """  # definitions that nothing reaches
 g = i = j = k = m = n = v = value = y = run = OTHER
 import click, dataclasses, linksweep, numpy
 def unused(x):
@@ -90,7 +89,6 @@ def vectorised(x):
 def declared(x: float):
     return x * OTHER
 """
-"""Definitions of a module that nothing reaches."""
 
 
 @dataclass
@@ -99,8 +97,7 @@ class Layout:
 
     seed: int
     kinds: list[str] = field(default_factory=list)
-    only: str = ""
-    """The only kind, instead of random ones."""
+    only: str = ""  # kind, instead of random ones
 
     def write(self, folder: Path, constant: str = "3.0", *, cosmetic: bool = False) -> None:
         """Write the modules below a folder, ``main.py`` in ``project/``; ``cosmetic`` changes what changes no number."""

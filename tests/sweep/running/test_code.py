@@ -46,12 +46,15 @@ def total(points, n_sim):
 """
 H = """
 K, ALL = 1.0, {"a": max}
-class B: ...
+class B:
+    n = 0
+    def __init__(self): B.n += 1
+    def first(self): self.t = 0.0; return B().n * self.t
 class B2: z = 1.0
 class C(B): k = 1.0
 c = C()
 def f(x: float):
-    return x * K * c.k * C.k + len(ALL) + ALL["a"]([0.0]) * 0 + getattr(c, "z", 0.0)
+    return x * K * c.k * C.k + len(ALL) + ALL["a"]([0.0]) * 0 + getattr(c, "z", 0.0) + c.first()
 """
 NAMED = {"h.K = 4.0": "value h.K", "h.c.k = 4.0": "value h.c", "h.C.k = 4.0": "value h.C.k ("}
 NAMED |= {"h.ALL['a'] = sum": "value h.ALL", "h.C.__bases__ = (h.B2,)": "class h.C"}
@@ -264,10 +267,11 @@ def test_attributes_count_as_they_are_when_the_run_starts(tmp_path, monkeypatch,
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "h", raising=False)
     h = importlib.import_module("h")
-    linksweep.run(h.f, axes={"x": [1.0]}, store=tmp_path / "s.zarr", pool="serial")
+    run = functools.partial(linksweep.run, h.f, tmp_path / "s.zarr", axes={"x": [1.0]}, pool="serial")
+    assert [run().f.values.tolist() for _ in range(2)] == [[2.0]] * 2  # what it changes itself is no other code
     exec(change, {"h": h})
     with pytest.raises(linksweep.SweepError, match=rf"(?s)was made by other code.*{re.escape(named)}"):
-        linksweep.run(h.f, axes={"x": [1.0]}, store=tmp_path / "s.zarr", pool="serial")
+        run()
 
 
 @pytest.mark.parametrize(("statement", "value", "other", "body"), COUNTED)
