@@ -166,6 +166,7 @@ def test_gaia_identifiers_are_carried(folder):
     assert "phot_g_mean_mag" in found.colnames
 
 
+@pytest.mark.slow
 def test_matches_in_a_store_are_looked_at_as_other_results(folder, sweep):
     (folder / "wide.csv").write_text((folder / "wide.csv").read_text().replace(",11404", ","))
     for output in ("m.zarr", "m.ecsv"):
