@@ -121,6 +121,7 @@ def test_where_a_condition_is_met(value, sign):
         assert np.all(np.isnan(result["first"]))
 
 
+@pytest.mark.slow
 def test_units_are_converted_lines_of_another_kind_left_out_and_places_printed(dataset_of, store_of, sweep_here):
     dataset = dataset_of("quasars")
     in_uas, in_mas = (find(dataset, f"sigma_spin < {limit}", "v_max") for limit in ("0.9 uas/yr", "0.0009"))
@@ -197,6 +198,7 @@ def test_options_of_commands_say_what_arguments_of_functions_do(tmp_path, sweep_
                 np.testing.assert_array_equal(found, finite.reshape(-1), err_msg=f"{command}: {name}")
 
 
+@pytest.mark.slow
 def test_what_has_no_place_and_no_errors_is_printed_without(tmp_path, sweep_here, start_sweep):
     def kernel(name: str = "flat", width: float = 1.0):
         return {"z": 7.0 if name == "flat" else 3.0 * width}

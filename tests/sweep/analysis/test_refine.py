@@ -101,6 +101,7 @@ def test_values_between_points_are_interpolated_to_the_error_that_was_asked_for(
     assert ds.sizes["x"] == 5  # each interval is halved, and a line has no use for more points
 
 
+@pytest.mark.slow
 def test_midpoints_are_values_of_the_axis_in_its_own_spacing():
     def inverse(x, less=0.0):
         return 1.0 / (x - less)

@@ -141,6 +141,7 @@ def test_the_same_store_gives_the_same_bytes_in_another_process(store_of, tmp_pa
     assert pages[0].read_bytes() == pages[1].read_bytes()
 
 
+@pytest.mark.slow
 def test_an_earlier_report_is_replaced(coin_store, tmp_path, sweep):
     for _ in range(2):
         assert sweep("report", coin_store, "-o", tmp_path / "page.html")[0] == 0

@@ -254,6 +254,7 @@ def test_sources_that_do_not_fit_into_memory_give_the_same_link(tmp_path, monkey
         np.testing.assert_allclose(link[name], plain[name], rtol=1e-6, atol=1e-9, err_msg=name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 def test_separations_and_the_clip_of_rayleigh(tmp_path, seed):
     """X and the separation of each row, as `weight` and `residuals` show them: of a position, else of a motion."""

@@ -297,7 +297,7 @@ REFUSALS = {  # what changes tables, or options; and the words of an error
     "a star": ({"star_models": {"S1": "7"}}, "stars with observations"),
     "an orbit": ({"star_models": {str(10**17): "orbit"}}, f"no elements of the orbit of {10**17}"),
 }
-QUICK = {"errors in uas", "one transit", *REFUSALS} - {"days"}
+QUICK = {"errors in uas", *REFUSALS} - {"days"}
 
 
 @pytest.mark.parametrize("mistake", [m if m in QUICK else slow(m) for m in (*MISTAKES, *REFUSALS)])

@@ -111,6 +111,7 @@ def test_what_is_known_is_taken_out_in_the_sign_of_the_results(tmp_path):
         np.testing.assert_allclose(link.estimate, wanted, atol=1e-5)
 
 
+@pytest.mark.slow
 def test_positions_of_one_epoch_give_epsilon_and_omega_only_together_and_are_no_release(tmp_path):
     made = still()
     for epoch in (2010.0, 2017.5):

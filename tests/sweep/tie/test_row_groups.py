@@ -42,7 +42,7 @@ def by_groups(monkeypatch):
     monkeypatch.setattr("linksweep.sweep.tie.setup.FROM_ROWS", 1000)
 
 
-@pytest.mark.parametrize("options", [*map(slow, OPTIONS[:4]), OPTIONS[4]])
+@pytest.mark.parametrize("options", [slow(one) for one in OPTIONS])
 def test_it_is_the_solution_of_the_whole_table(tmp_path, monkeypatch, options):
     path = quasars(tmp_path / "quasars.parquet")
     whole = tie(path, "zero-motion", **options)
