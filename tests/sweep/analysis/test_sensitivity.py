@@ -80,7 +80,7 @@ def test_a_grid_of_the_ishigami_function(n, tmp_path):
     assert "with fewer than 8 values" in sensitivity(ds.isel({name: slice(0, 6) for name in BOX})).attrs["notes"]
 
 
-@pytest.mark.parametrize("design", few(1, ["saltelli", "sobol", "halton", "latin-hypercube", "random"]))
+@pytest.mark.parametrize("design", few(0, ["saltelli", "sobol", "halton", "latin-hypercube", "random"]))
 def test_indices_of_designs_of_both_functions(design, tmp_path):
     points, has_total = {"design": design, "n": 256 if design == "saltelli" else 512, "seed": 4}, design == "saltelli"
     for function, ranges, truths in ((ishigami, BOX, (ALONE, TOTAL)), (flow, BOREHOLE, OF_BOREHOLE)):

@@ -35,6 +35,7 @@ def sweep(function, store, sampling=KEPT, **axes):
     return linksweep.run(function, store, axes=axes, sampling=sampling, pool="serial")
 
 
+@pytest.mark.slow
 def test_realisations_are_those_behind_the_statistics(tmp_path):
     axes = {"gain": [1.0, 2.0], "rate": [0.5, 2.0, 3.0]}
     ds = sweep(queue, tmp_path / "s", **axes)

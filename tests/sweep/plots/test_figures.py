@@ -66,6 +66,7 @@ def test_lines_have_points_with_errors_prediction_and_published_values(dataset_o
     assert "INCOMPLETE: 12 of 13 points are done, 1 " in linksweep.plot(one.assign(status=status)).get_suptitle()
 
 
+@pytest.mark.slow
 def test_a_law_is_drawn_as_fitted_with_its_guide(dataset_of):
     dataset = dataset_of("sqrt-n")
     upper, lower = axes_of(linksweep.plot(dataset))

@@ -128,7 +128,7 @@ class Swallower:
         signal.raise_signal(signal.SIGINT)
 
 
-@pytest.mark.parametrize("is_swallowed", [True, False])
+@pytest.mark.parametrize("is_swallowed", [slow(True), slow(False)])
 def test_what_a_finaliser_swallows_comes_again_and_cleaning_up_is_not_interrupted(is_swallowed):
     steps = []
 
@@ -181,6 +181,7 @@ def stopped(process, number):
     return process.returncode, err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "code", "words", "pool"), STOPS)
 def test_long_blocks_are_not_waited_for(tmp_path, start_sweep, sleepers, number, code, words, pool):
     store = tmp_path / "s.zarr"

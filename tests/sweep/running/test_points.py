@@ -232,10 +232,7 @@ def test_labels_are_those_of_the_points_of_their_tables(tmp_path, wells):
 
 @pytest.mark.parametrize("order", few(2, [*map("".join, permutations("acbd"))]))
 def test_labels_do_not_depend_on_the_order_in_which_stores_are_merged(tmp_path, order):
-    runs = {
-        "a": {"points": {"x": [1.0, 5.0], "well": ["A", "B"]}, "labels": "well"},
-        "c": {"axes": {"x": [1.0, 5.0, 9.0]}},
-    }
+    runs = {"a": {"points": {"x": [1.0, 5.0], "well": ["A", "B"]}, "labels": "well"}, "c": {"axes": {"x": [1.0, 9.0]}}}
     runs |= {"b": {"points": {"x": [1.0, 5.0], "y": [7.0, 7.0], "well": ["C", "D"]}, "labels": "well"}}
     runs |= {"d": {"axes": {"y": [3.0, 7.0]}, "fixed": {"x": 1.0}}}
     for name in order:

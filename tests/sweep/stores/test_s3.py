@@ -117,7 +117,7 @@ def test_a_small_run_needs_few_requests(bucket, coins, through):
     assert set(proxy.requests) == {"GET", "PUT", "POST"}  # POST: deletion of the lock
 
 
-@pytest.mark.parametrize("kind", ["reset", slow("lost"), slow("503")])
+@pytest.mark.parametrize("kind", [slow("reset"), slow("lost"), slow("503")])
 def test_requests_that_fail_are_repeated(bucket, coins, wanted, through, kind):
     chance = random.Random(11)
     proxy = through(lambda number: kind if chance.random() < 0.15 else None)

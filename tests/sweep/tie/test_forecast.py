@@ -176,7 +176,7 @@ def test_a_study_scales_from_the_same_release(folder):
             in_a_study(folder, *tables, **{"release": "dr5"} | changes)
 
 
-@pytest.mark.parametrize("jitter", ["", slow("position=0.2:0.02")])
+@pytest.mark.parametrize("jitter", [slow(""), slow("position=0.2:0.02")])
 def test_new_positions_of_quasars_are_mean_ones_that_hold_at_any_epoch(tmp_path, jitter):
     quasars = replace(stars(12, 5, pm=0.0, parallax=0.0), radial_velocity=np.zeros(12))
     own = replace(quasars, values=seen(quasars, quasars))

@@ -195,6 +195,7 @@ def test_a_sky_without_a_mistake_is_not_suspected(tmp_path, n, seed):
     assert not [note for note in solved(tmp_path, *sky(n, seed)) if not re.search(usual, note)]
 
 
+@pytest.mark.slow
 def test_an_absurd_link_is_printed_but_not_written_unless_it_is_accepted_also_in_a_study(tmp_path):
     tables = written(tmp_path, *with_mistakes(8, 4, "mu_alpha"))
     command = ["tie", *tables, "-o", str(tmp_path / "tie.zarr")]

@@ -127,6 +127,7 @@ def test_positions_of_one_epoch_give_epsilon_and_omega_only_together_and_are_no_
     assert len(read_table(campaigns).astrometry) == 12
 
 
+@pytest.mark.slow
 def test_a_row_for_each_star_is_a_table_in_every_format(tmp_path, sweep):
     tables = two_tables(tmp_path, own={"source_id": [f"S{k}" for k in range(12)]})
     link = linksweep.tie(*tables, "orientation,spin", by="position")
@@ -190,6 +191,7 @@ def bright(folder):
     return table, gaia(folder / "true.ecsv", replace(made, values=values))
 
 
+@pytest.mark.slow
 def test_the_published_spin_of_bright_stars_is_subtracted_and_chi2_says_whether_its_sign_is_right(tmp_path):
     tables, bins = bright(tmp_path), ("phot_g_mean_mag", [10.0, 14.0])
     spins = Table.read("linksweep/sweeps/data/edr3-spin.ecsv")
