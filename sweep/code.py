@@ -559,10 +559,11 @@ def _contents(value: Any, depth: int = 5) -> str:
     """Return what tells a value from others, functions by what is in their closures, objects by their attributes."""
     if type(value) in PLAIN or not depth:
         return repr(value) if depth else ""
-    is_users = distributions_of((value if isinstance(value, type) else type(value)).__module__) is None
-    inside = (
-        _closure(value) if type(value) is FunctionType else dict(getattr(value, "__dict__", {})) if is_users else {}
-    )
+    inside: dict[str, Any] = {}
+    if type(value) is FunctionType:
+        inside = _closure(value)
+    elif distributions_of((value if isinstance(value, type) else type(value)).__module__) is None:
+        inside = dict(getattr(value, "__dict__", {}))
     more = value if type(value) is tuple else (type(value), *getattr(value, "__bases__", ()))
     forms = [_contents(one, depth - 1) for one in (*map(inside.get, sorted(inside)), *more)]
     return f"{getattr(value, '__qualname__', '')} {forms}"
