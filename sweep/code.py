@@ -13,7 +13,6 @@ holds.
 """
 
 import ast
-import dis
 import hashlib
 import importlib.abc
 import importlib.util
@@ -26,6 +25,7 @@ import pickle
 import random
 import re
 import subprocess
+import symtable
 import sys
 import sysconfig
 import time
@@ -82,8 +82,6 @@ CHANGEABLE = (list, dict, set, bytearray, np.ndarray)
 DESCRIPTORS = (staticmethod, classmethod, property, cached_property, np.vectorize)
 # What a class has that nothing but its statements has made.
 PLAIN_CLASS = {*dir(type), *dir(SupportsAbs), "__weakref__", "__firstlineno__", "__static_attributes__"}
-# Instructions that look up a global name.
-LOOKS_UP = ("LOAD_GLOBAL", "LOAD_NAME", "LOAD_FROM_DICT_OR_GLOBALS")
 # What such objects, and wrappers of libraries, have besides caches.
 WRAPPED = ("__func__", "fget", "fset", "fdel", "func", "pyfunc", "otypes", "signature", "__wrapped__", "_self_wrapper")
 
@@ -427,13 +425,13 @@ class Reach:
             self.places[f"function {label}"] = f"{code.co_filename}, line {nodes[0].lineno}"
             if (name := function.__name__) not in MAKING_CLASSES:
                 imported = [one.name for node in nodes for one in ast.walk(node) if isinstance(one, ast.alias)]
-                others = {*_names_in(code), *code.co_freevars, *imported}
+                others = {*_names_in(nodes, code), *code.co_freevars, *imported}
                 changes = [one for node in nodes for one in _changes(node, others, name in MAKING)]
                 called = f"{function.__qualname__.split('.')[-2:][0]}()" if name in MAKING else name
                 self._changes.append((called, {home_of(one, names, names.get(one))[0] for one in changes}))
         elif not function.__name__.startswith("__"):  # what dataclasses make is in their class already
             self.unnoticed[self._through or label] = "function without source"
-            nodes = [ast.Name(name) for name in sorted(_names_in(code))]  # what it reaches counts
+            nodes = [ast.Name(name) for name in sorted(_all_names(code))]  # what it reaches counts
         text += self._text(nodes, names, function)
         self._keep(f"function {label}", text)
 
@@ -472,17 +470,19 @@ class Reach:
         self._called |= {f"{unparsed(one.func).rpartition('.')[2]}()" for one in ran if isinstance(one, ast.Call)}
         bound = self._imported(nodes, names)
         texts = [*map(unparsed, nodes)]
-        code = function.__code__ if function else compile("\n".join(texts), "", "exec", ast.PyCF_ALLOW_TOP_LEVEL_AWAIT)
-        scope, wanted, text = ChainMap(bound, dict(names)), {*bound, *_names_in(code)}, "".join(texts)
+        code = function.__code__ if function else None
+        scope, text = ChainMap(bound, dict(names)), "".join(texts)
+        wanted = {*bound, *_names_in(nodes, code)}
         # what names in defaults and annotations stand for: what code changes of a default is left out of its value
-        heads = [one.args for one in nodes if isinstance(one, Function)]
+        heads = [getattr(one, "args", one) for one in nodes] if function else []
         wanted |= {one.id for head in heads for one in ast.walk(head) if isinstance(one, ast.Name)}
-        private = {name for name in wanted if re.match("_[^_].*__", name)}  # _C__k, which is __k in the class C
+        # _C__k, which is __k in the class C
+        private = {name for name in wanted | _all_names(code) if re.match("_[^_].*__", name)}
         for whole in sorted(private.union(*map(_chains, nodes))):
             name, *path = whole.split(".")
             if function and whole in BY_NAME and names.get("__name__") in sys.modules:
                 self._follow(self._whole, sys.modules[names["__name__"]])
-            if name not in scope or name not in wanted:
+            if name not in scope or name not in wanted | private:
                 continue
             value, home = scope[name], names
             with suppress(Exception):  # raised again by the function where it is called
@@ -552,7 +552,8 @@ def _closure(function: FunctionType) -> dict[str, Any]:
 def _set_by(kind: type) -> set[str]:
     """Return the names of attributes that methods of a class set."""
     methods = [one for base in kind.__mro__ for one in vars(base).values() if isinstance(one, FunctionType)]
-    return {each.argval for one in methods for each in dis.get_instructions(one) if each.opname == "STORE_ATTR"}
+    targets = _changed(one for method in methods for node in definitions_of(method) for one in ast.walk(node))
+    return {one.attr for one in targets if isinstance(one, ast.Attribute)}
 
 
 def _contents(value: Any, depth: int = 5) -> str:
@@ -636,14 +637,27 @@ def _inside(code: CodeType) -> Iterator[CodeType]:
             yield from _inside(constant)
 
 
-@lru_cache(maxsize=4096)
-def _names_in(code: CodeType) -> frozenset[str]:
-    """Return the names that some code looks up in its module; what a class looks up it may have bound itself."""
+def _names_in(nodes: Sequence[ast.AST], code: CodeType | None) -> set[str]:
+    """Return the names that statements of a module look up in it, or functions of which this is the compiled code; what
+    a class looks up it may have bound itself.
+    """
     names = set[str]()
-    for one in _inside(code):
-        used = {(each.opname, each.argval) for each in dis.get_instructions(one)}
-        names |= {name for how, name in used if how in LOOKS_UP and (one is code or ("STORE_NAME", name) not in used)}
-    return frozenset(names)
+    if code is None:
+        top = symtable.symtable("\n".join(map(unparsed, nodes)), "", "exec")
+        names |= {one.get_name() for one in top.get_symbols() if one.is_referenced()}
+    else:
+        outer: Any = ast.parse(f"def outer({', '.join(code.co_freevars)}): pass")
+        outer.body[0].body += [ast.Expr(one) if isinstance(one, ast.expr) else one for one in nodes]  # lambdas
+        (top,) = symtable.symtable(ast.unparse(outer), "", "exec").get_children()
+    tables = [*top.get_children()]
+    for table in tables:  # which grows meanwhile
+        names |= {one.get_name() for one in table.get_symbols() if one.is_global()}
+        tables += table.get_children()
+    return names
+
+
+def _all_names(code: CodeType | None) -> set[str]:
+    return {name for one in _inside(code) for name in one.co_names} if code else set()
 
 
 @lru_cache(maxsize=256)
