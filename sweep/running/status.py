@@ -75,7 +75,7 @@ class _Points:
             self.wanted[index] = sum(block.realisations for block in blocks)
         shapes = {plan.block_shape(one): one for one in whole}  # points of one shape have the same blocks
         common = chain(*map(plan.blocks, shapes.values()), *special.values())
-        self._ends = _mixed(_numbers({ledger_key(b"", block) for block in common}))
+        self._ends = np.array([*{ledger_key(b"", block) for block in common}], dtype="S16")
 
     def find(self, starts: NDArray[np.uint64]) -> NDArray[np.intp]:
         """Return the indices of points by the first 8 bytes of their digests, -1 for those of no point."""
@@ -101,7 +101,8 @@ class _Points:
     def blocks(self, keys: NDArray[np.uint64], seconds: NDArray[Any]) -> NDArray[Any]:
         """Return the point, the realisations and the seconds of each block of this study with one of these keys."""
         index = self.find(keys[:, 0])
-        good = (index >= 0) & (self.is_adaptive | np.isin(_mixed(keys[:, 2:]), self._ends))
+        ends = np.ascontiguousarray(keys[:, 2:]).view("S16").reshape(-1)  # of keys: what follows the digest
+        good = (index >= 0) & (self.is_adaptive | np.isin(ends, self._ends))
         numbers = (keys[:, 3] & np.uint64(2**32 - 1)) * (keys[:, 3] >> np.uint64(32))
         return np.array([index, numbers, seconds])[:, good]
 
@@ -109,11 +110,6 @@ class _Points:
 def _numbers(digests: Iterable[bytes]) -> NDArray[np.uint64]:
     """Return digests, or what else has 16 bytes, as two numbers each."""
     return np.frombuffer(b"".join(digests), "<u8").reshape(-1, 2)
-
-
-def _mixed(ends: NDArray[np.uint64]) -> NDArray[np.uint64]:
-    """Return one number for each end of a key, (keys, 2): group, part, catalogues and realisations."""
-    return np.asarray(ends[:, 0] * np.uint64(0x9E3779B97F4A7C15) ^ ends[:, 1])
 
 
 def status_report(store: Where) -> dict[str, Any]:
