@@ -172,18 +172,13 @@ def _values(parameter: Parameter, column: Sequence[Value], is_table: bool) -> tu
 
 def _labels(columns: Mapping[str, Sequence[Value]], *sides: Side) -> dict[str, list[Any]]:
     """Return the labels of the rows of a table: those of the last study of which it is a row."""
-    labels: dict[str, list[Any]] = {}
-    ours = _keys(zip(*columns.values(), strict=True))
-    for side in (side for side in sides if _label_names(side[0])):
-        theirs = _labels_by_row([*columns], *side)
-        for name in _label_names(side[0]):
-            before = labels.get(name, [None] * len(ours))
-            labels[name] = [theirs.get(key, {}).get(name, b) for key, b in zip(ours, before, strict=True)]
-    return {name: labels_of(cells) for name, cells in labels.items()}
-
-
-def _label_names(grid: Grid) -> list[str]:
-    return [*grid.study.points.labels] if grid.study.points else []
+    names = dict.fromkeys(name for grid, *_ in sides if grid.study.points for name in grid.study.points.labels)
+    labels = defaultdict[tuple[str, int], dict[str, Any]](dict)
+    for side in sides if names else ():
+        for key, cells in _labels_by_row([*columns], *side).items():
+            labels[key].update(cells)
+    rows = [labels[key] for key in _keys(zip(*columns.values(), strict=True))]
+    return {name: labels_of([cells.get(name) for cells in rows]) for name in names}
 
 
 def _is_blank(cell: object) -> bool:
@@ -212,8 +207,6 @@ def _labels_by_row(
 
 def _are_relabelled(names: Sequence[str], *sides: Side) -> bool:
     """Return whether a row has other labels in one of two studies than in the other."""
-    if not any(_label_names(grid) for grid, *_ in sides):
-        return False
     one, other = (
         {key: {n: str(cell) for n, cell in cells.items() if not _is_blank(cell)} for key, cells in some.items()}
         for some in (_labels_by_row(names, *side) for side in sides)
