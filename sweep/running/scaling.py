@@ -13,7 +13,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from linksweep.sweep.contract import FEWEST_SAMPLES, Array, SweepError, small_sample_factor
-from linksweep.sweep.executing.pools import DEFAULT_POOL, PoolName, Resources, available_cores
+from linksweep.sweep.executing.pools import DEFAULT_POOL, MOST_WORKERS, PoolName, Resources, available_cores
 from linksweep.sweep.formatting import described, now
 from linksweep.sweep.planning.plan import Survey
 from linksweep.sweep.running.progress import Progress
@@ -22,7 +22,6 @@ from linksweep.sweep.studies.record import provenance
 from linksweep.sweep.studies.study import Study
 
 KINDS = ("strong", "weak")
-MAX_WORKERS = 4096
 # Variance of a median over that of a mean, of many normal numbers (of five: 1.43).
 MEDIAN_OVER_MEAN = np.pi / 2.0
 Grown = Literal["n_sim", "n_cat"]
@@ -59,7 +58,7 @@ def measure_scaling(
     Raises SweepError for workers that are not distinct or do not begin with one, for a study with a precision, and
     where a point fails.
     """
-    _check(study, workers, repetitions)
+    _check(study, workers)
     grown: Grown = "n_cat" if study.sampling.n_cat > 1 else "n_sim"
     kinds = KINDS[:1] if study.experiment.deterministic else KINDS
     timed = np.empty((len(kinds), len(workers), repetitions, 2))
@@ -88,13 +87,11 @@ def measure_scaling(
     )
 
 
-def _check(study: Study, workers: Sequence[int], repetitions: int) -> None:
+def _check(study: Study, workers: Sequence[int]) -> None:
     problems = []
-    if list(workers) != sorted(set(workers)) or workers[0] != 1 or workers[-1] > MAX_WORKERS:
+    if list(workers) != sorted(set(workers)) or workers[0] != 1 or workers[-1] > MOST_WORKERS:
         listed = ",".join(map(str, workers))
-        problems.append(f"workers = {listed}: must increase from 1, with which all is compared, to <= {MAX_WORKERS}")
-    if repetitions < 1:
-        problems.append(f"repetitions = {repetitions}: must be >= 1")
+        problems.append(f"workers = {listed}: must increase from 1, with which all is compared, to <= {MOST_WORKERS}")
     if study.sampling.precision is not None:
         problems.append("a study with a precision decides itself how much it computes; leave `precision` out")
     if problems:
