@@ -61,16 +61,11 @@ def checksum(content: bytes) -> str:
     return blake2b(content, digest_size=16).hexdigest()
 
 
-def problem_of(content: bytes | None, expected: str | None) -> str | None:
-    """Return what is wrong with a file by the checksum that is expected, None if nothing is."""
-    return MISSING if content is None else None if checksum(content) == expected else "its content is another one"
-
-
 def whole(content: bytes | None, expected: str) -> bytes:
     """Return the content of a file; raises ValueError where it is missing or another one than is expected."""
-    if problem := problem_of(content, expected):
-        raise ValueError(problem)
-    return content or b""
+    if content is None or checksum(content) != expected:
+        raise ValueError(MISSING if content is None else "its content is another one")
+    return content
 
 
 def sealed(document: Mapping[str, Any], file: str) -> bytes:

@@ -100,22 +100,17 @@ def _put(array: NDArray[Any], location: Location) -> NDArray[np.void]:
     return np.array(chunks, dtype=REFERENCE)
 
 
-@dataclass(frozen=True)
-class ToStore:
-    """Writes large arrays into the store with an identity, if it is to be seen at the place from where this is used."""
-
-    place: str
-    store_id: str
-
-    def __call__(self, outcomes: dict[int, Outcome]) -> dict[int, Outcome]:
-        """Return outcomes as `written`; as they are where the store is not seen, or cannot be written."""
-        if any(getattr(one.layout, "large", ()) for one in outcomes.values()):
-            # Each time: the store may be moved, and must not be begun anew at its old place.
-            with suppress(SweepError, OSError, ValueError, LookupError, TypeError):
-                location = located(self.place)
-                if json.loads(location.get(ROOT) or b"")["attributes"][STORE] == self.store_id:
-                    return written(outcomes, location)
-        return outcomes
+def written_if_seen(place: str, store_id: str, outcomes: dict[int, Outcome]) -> dict[int, Outcome]:
+    """Return outcomes as `written`, if the store with this identity is to be seen at the place from here; as they are
+    where it is not, or cannot be written.
+    """
+    if any(getattr(one.layout, "large", ()) for one in outcomes.values()):
+        # Each time: the store may be moved, and must not be begun anew at its old place.
+        with suppress(SweepError, OSError, ValueError, LookupError, TypeError):
+            location = located(place)
+            if json.loads(location.get(ROOT) or b"")["attributes"][STORE] == store_id:
+                return written(outcomes, location)
+    return outcomes
 
 
 @dataclass

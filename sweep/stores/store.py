@@ -18,9 +18,10 @@ import platform
 import re
 import sys
 import warnings
-from collections.abc import Collection, Iterable, Mapping, Set
+from collections.abc import Callable, Collection, Iterable, Mapping, Set
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 from uuid import uuid4
 
@@ -177,9 +178,10 @@ class Store(OpenStore):
                 self.fail(digest, record)
 
     @property
-    def keep(self) -> ledgers.ToStore:
+    def keep(self) -> Callable[[dict[int, Outcome]], dict[int, Outcome]]:
         """What writes large arrays into this store from other processes, and leaves them where it cannot."""
-        return ledgers.ToStore(str(getattr(self.location, "path", self.location)), self.attributes[STORE])
+        place = str(getattr(self.location, "path", self.location))
+        return partial(ledgers.written_if_seen, place, self.attributes[STORE])
 
     def kept(self, outcomes: Mapping[int, Outcome]) -> dict[int, Outcome]:
         """Return outcomes whose large arrays are in the store; raises SweepError where they cannot be."""
@@ -592,10 +594,12 @@ def decode(root: Mapping[str, Any], location: Location) -> "xr.Dataset":
     lazy = {key.partition("/")[0] for key in later}
     expected = {key: checksum for key, checksum in chunk_checksums(root).items() if key not in later}
     contents = location.get_all(expected)
-    problems = {key: integrity.problem_of(contents[key], checksum) for key, checksum in expected.items()}
-    if damaged := {key: problem for key, problem in problems.items() if problem}:
+    there, damaged = dict[str, bytes](), dict[str, str]()
+    for key, checksum in expected.items():
+        with integrity.noting(damaged, key):
+            there[key] = integrity.whole(contents[key], checksum)
+    if damaged:
         raise ValueError("; ".join(f"{key}: {problem}" for key, problem in damaged.items()))
-    there = {key: content for key, content in contents.items() if content is not None}
     files = ledgers.Files(location, later, {**there, ROOT: json.dumps(root).encode()})
     try:
         with warnings.catch_warnings():
@@ -781,6 +785,6 @@ def _check_results(location: Location, root: Mapping[str, Any], report: Report) 
             cut_short |= document != files[file]
     for file, checksum in chunk_checksums(root).items():
         # One by one: never all in memory.
-        if problem := integrity.problem_of(location.get(file), checksum):
-            report.results[file] = problem
+        with integrity.noting(report.results, file):
+            integrity.whole(location.get(file), checksum)
     return cut_short
