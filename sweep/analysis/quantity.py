@@ -19,7 +19,7 @@ from linksweep.sweep.formatting import ERRORS, RAGGED, first_of, is_missing, is_
 from linksweep.sweep.planning.grid import Grid, GridPoint
 from linksweep.sweep.stores.location import Where
 from linksweep.sweep.stores.store import RUNNING, finished, open_dataset
-from linksweep.sweep.studies.points import labelled
+from linksweep.sweep.studies.points import labelled, read_cell
 from linksweep.sweep.studies.record import FUNCTION, outer_draw_of
 from linksweep.sweep.studies.study import LOST, POINT, POINT_TABLE, Claim, Study
 
@@ -473,7 +473,7 @@ def indices(dataset: xr.Dataset, places: Mapping[str, Any]) -> dict[str, list[in
                 label = labelled(wanted).name
                 hits = {i for i, value in enumerate(values) if value == label}
         if not hits:  # numbers beside None, of which the coordinate has texts
-            hits = {i for i, value in enumerate(values) if isinstance(value, str) and is_same_number(value, wanted)}
+            hits = {i for i, value in enumerate(values) if is_meant(read_cell(value, "float"), wanted)}
         if not hits:
             there = first_of([text or "none" for text in dict.fromkeys(plain(values))], FEW)
             problems.append(f"{name} = {wanted} is not in the grid, which has {there}")
@@ -495,14 +495,6 @@ def between(dataset: xr.Dataset, axis: str, low: float, high: float) -> xr.Datas
         ends = f"it goes from {texts[np.nanargmin(values)]} to {texts[np.nanargmax(values)]}"
         raise SweepError(f"{axis} has no value from {' to '.join(plain([low, high]))}; {ends}")
     return dataset.isel({dataset[axis].dims[0]: inside})
-
-
-def is_same_number(text: str, wanted: Any) -> bool:
-    """Return whether a text is the number that is wanted, which may be a text, too."""
-    try:
-        return float(text) == float(wanted)
-    except (TypeError, ValueError):
-        return False
 
 
 def is_meant(value: object, wanted: Any) -> bool:
