@@ -68,8 +68,7 @@ def _catalogue_problem(point: Point) -> str | None:
         return "zone_of_avoidance and sky_contrast are for random positions (positions = 'isotropic')"
     if problem := kind.problem(point):
         return problem
-    if point["solve_glide"] and setup.catalogue_size(point) < SMALLEST_GLIDE:
-        size = setup.catalogue_size(point)
+    if point["solve_glide"] and (size := kind.size(point)) < SMALLEST_GLIDE:
         return f"n_obj = {size}: solving for a glide too needs at least {SMALLEST_GLIDE} objects"
     if point["aberration"] and not kind.extragalactic:
         return f"aberration: the glide is that of extragalactic objects, not of {point['catalogue']}"
@@ -287,7 +286,7 @@ def evaluate_catalogues(points: Sequence[Point], n_sim: int, streams: Sequence[S
     """
     physics = [setup.scenario(point) for point in points]
     # how many depends on the point alone, so that a block is the same whatever the machine
-    together = max(1, STACK // (setup.catalogue_size(points[0]) * n_sim))
+    together = max(1, STACK // (setup.catalogue_kind(points[0]).size(points[0]) * n_sim))
     if len(physics) > 1 or together == 1 or not can_stack(physics[0], n_sim):
         return _rows([_rows(simulate(physics, n_sim, *pair)) for pair in streams])
     parts = [streams[first : first + together] for first in range(0, len(streams), together)]
@@ -357,16 +356,16 @@ def cost(point: Point) -> float:
 
     A zonal error is a sum over harmonics, of which `HARMONICS` cost as much as a normal.
     """
-    objects = setup.catalogue_kind(point).objects(point)
-    reference, satellite = (model.has_errors(objects) for model in error_models(point))
+    kind = setup.catalogue_kind(point)
+    reference, satellite = (model.has_errors(kind.objects(point)) for model in error_models(point))
     zonal = setup.zonal_errors(point)
     if point["method"] == "projected":
         unknowns = len(link_unknowns(bool(point["solve_glide"])))
         columns = 1 + unknowns * (1 if point["weighting"] == "inverse-variance" else 2)
-        return float(min(columns, 4 * setup.catalogue_size(point)) if reference or satellite else 0)
+        return float(min(columns, 4 * kind.size(point)) if reference or satellite else 0)
     per_object = 4 * (reference + (satellite or zonal is not None))
     of_zonal = 0.0 if zonal is None else zonal.coefficients / HARMONICS
-    return float((per_object + of_zonal) * setup.catalogue_size(point))
+    return float((per_object + of_zonal) * kind.size(point))
 
 
 def _rows(sums: Sequence[Mapping[str, Array]]) -> dict[str, Array]:

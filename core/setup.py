@@ -119,12 +119,6 @@ def catalogue_kind(point: Point) -> CatalogueKind:
     return CATALOGUES[point["catalogue"]]
 
 
-def catalogue_size(point: Point) -> int:
-    """Return the number of objects of a point's catalogue."""
-    n_obj = point["n_obj"]  # first: where it is set, the kind does not matter
-    return catalogue_kind(point).size(point) if n_obj is None else int(n_obj)
-
-
 def expected_errors(point: Point, models: Sequence[ErrorModel]) -> Array:
     """Return the errors (mas, mas/yr) of the reference and the satellite before a catalogue is drawn, shape (2, N, 4):
     those of the objects that it lists, or of a single one at the faint limit of a catalogue that follows a law.
