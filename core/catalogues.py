@@ -82,14 +82,12 @@ class Catalogue:
     def _each(self, function: Callable[[Array], Array]) -> "Catalogue":
         """Return a catalogue with a function applied to all arrays, whose first axes are those of the objects."""
 
-        def mapped(errors: OwnErrors | None) -> OwnErrors | None:
-            if errors is None:
-                return None
-            sigma, correlation = errors
-            return OwnErrors(function(sigma), None if correlation is None else function(correlation))
+        def mapped(column: Array | OwnErrors | None) -> Any:
+            if isinstance(column, OwnErrors):
+                return OwnErrors(*map(mapped, column))
+            return None if column is None else function(column)
 
-        ra, dec, pmra, pmdec, v_mag = map(function, (self.ra, self.dec, self.pmra, self.pmdec, self.v_mag))
-        return Catalogue(ra, dec, pmra, pmdec, v_mag, *map(mapped, (self.errors, self.reference, self.satellite)))
+        return Catalogue(**{name: mapped(column) for name, column in vars(self).items()})
 
 
 @dataclass(frozen=True)
