@@ -21,7 +21,7 @@ from scipy import optimize
 
 from linksweep.core import catalogues
 from linksweep.core.catalogues import Sky
-from linksweep.core.frames import MAS, Array, Weighting, triad
+from linksweep.core.frames import MAS, Array, triad
 from linksweep.core.missions import CALIBRATED, Curve, Exponentials
 
 Model = Literal["amex", "gaia"]
@@ -92,21 +92,15 @@ def draw_skies(kind: str, n_cat: int, seed: int, faintest: float = 20.0) -> Skie
     return Skies(v_mag, np.stack(reference), geometry, counts)
 
 
-def spin_variance(
-    skies: Skies, curve: Curve, weighting: Weighting = "inverse-variance", reference_error_scale: float = 1.0
-) -> Array:
+def spin_variance(skies: Skies, curve: Curve, reference_error_scale: float = 1.0) -> Array:
     """Return the closed-form variance of the spin in (mas/yr)^2, mean of its three components; shape (counts, C).
 
-    It is the mean diagonal of (A^T W A)^-1, or of its sandwich for equal weights.  The terms of the orientation are
-    left out: they add less than 1e-5 of the spin's error here.
+    It is the mean diagonal of (A^T W A)^-1.  The terms of the orientation are left out: they add less than 1e-5 of the
+    spin's error here.
     Source: Metz & Geffert 2004, Eqs. 10-12; docs/science.md.
     """
     variance = np.square(reference_error_scale * skies.sigma_reference_mas_yr) + np.square(curve(skies.v_mag)[:, None])
-    if weighting == "inverse-variance":
-        covariance = np.linalg.inv(_normal(skies, 1.0 / variance))
-    else:
-        inverse = np.linalg.inv(_normal(skies, np.ones_like(variance)))
-        covariance = inverse @ _normal(skies, variance) @ inverse
+    covariance = np.linalg.inv(_normal(skies, 1.0 / variance))
     return np.asarray(np.trace(covariance, axis1=-2, axis2=-1) / 3.0)
 
 
@@ -139,7 +133,7 @@ def published_model(numbers: pd.DataFrame, skies: dict[str, Skies], curve: Curve
     sigma, error = np.empty((2, len(numbers)))
     for (kind, scale), rows in numbers.groupby(["kind", "scale"]):
         sky = skies[kind]
-        each = spin_variance(sky, curve, reference_error_scale=scale)[[sky.counts.index(n) for n in rows["n_obj"]]]
+        each = spin_variance(sky, curve, scale)[[sky.counts.index(n) for n in rows["n_obj"]]]
         sigma[rows.index] = np.sqrt(each.mean(axis=1))
         error[rows.index] = 0.5 * each.std(axis=1, ddof=1) / each.mean(axis=1) / np.sqrt(each.shape[1])
     return sigma, error
