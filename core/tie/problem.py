@@ -409,11 +409,6 @@ def source_counts(problem: Problem) -> Array:
     return _of_each(problem, lambda left: left.count)
 
 
-def weight_sizes(problem: Problem) -> Array:
-    """Return the sum of the diagonal of each source's W, in mas^-2 and (mas/yr)^-2; shape (S,)."""
-    return _of_each(problem, lambda left: np.einsum("nkk->n", left.normal) * MAS**2)
-
-
 def _of_each(problem: Problem, value: Callable[[Eliminated], Array]) -> Array:
     blocks = _blocks(len(problem.satellite), GATHERED)
     return np.concatenate([np.zeros(0), *(value(problem.sources(part)[2]) for part in blocks)])
@@ -799,7 +794,7 @@ def _cell_sums(problem: Problem, factors: Array | Flags | None) -> NormalSums:
 
 
 def _heaviest(problem: Problem, number: int) -> tuple[Array, Indices, NormalSums]:
-    sizes = weight_sizes(problem)
+    sizes = _of_each(problem, lambda left: np.einsum("nkk->n", left.normal) * MAS**2)  # in mas and mas/yr
     places = np.argsort(-sizes, kind="stable")[:number]
     return sizes[places], places, source_sums(problem.only(places))
 
