@@ -23,9 +23,9 @@ from scipy.interpolate import make_interp_spline
 
 from linksweep.sweep.analysis import quantity
 from linksweep.sweep.analysis.tables import derived
-from linksweep.sweep.contract import Array, Status, SweepError
+from linksweep.sweep.contract import Array, Parameter, Status, SweepError
 from linksweep.sweep.formatting import units_of
-from linksweep.sweep.studies.points import DESIGNS, MORRIS_LEVELS, Range, salib, unit_cube
+from linksweep.sweep.studies.points import DESIGNS, MORRIS_LEVELS, read_range, salib, unit_cube
 from linksweep.sweep.studies.study import POINT, POINT_TABLE
 
 # The attribute of a dataset of indices that says how they were made.
@@ -199,12 +199,9 @@ def _places(dataset: xr.Dataset, name: str, spec: Any, design: str) -> Array:
     array, is_morris = dataset[name], design == "morris"
     if is_morris and isinstance(spec, dict) and "values" in spec:
         spec = [min(spec["values"]), max(spec["values"])]
-    if isinstance(spec, list):
-        spec = {"low": spec[0], "high": spec[1]}
-    if isinstance(spec, dict) and "low" in spec:
-        log = spec.get("spacing") == "log"
-        is_whole = array.dtype.kind == "i" and not is_morris
-        return Range(name, spec["low"], spec["high"], log, whole=is_whole).places(array.values)
+    if isinstance(spec, list) or (isinstance(spec, dict) and "low" in spec):
+        kind: Any = "int" if array.dtype.kind == "i" and not is_morris else "float"
+        return read_range(Parameter(name, kind), spec).places(array.values)
     values = array.values.astype(str) if array.dtype.kind == "O" else array.values
     _, place, counts = np.unique(values, return_inverse=True, return_counts=True)
     before = np.cumsum(counts) - counts
