@@ -19,7 +19,7 @@ from scipy.special import ndtri
 from linksweep.core import missions
 from linksweep.core.frames import DEGREE, GALACTIC_AXES, Array, galactic, position
 from linksweep.core.setup import scenario
-from linksweep.core.tie.problem import LARGE_SHARE
+from linksweep.core.tie.problem import LARGE_SHARE, sky_cells
 from linksweep.sweep import formatting
 from linksweep.sweep.analysis.quantity import point_at
 from linksweep.sweep.contract import Named, SweepError, shown, suggest
@@ -561,9 +561,7 @@ def _arrows(dataset: xr.Dataset, name: str, pair: list[int]) -> Arrows:
         return ra, dec, values[:, 0], values[:, 1], dropped
     ra, dec, values, weights = ra[~dropped], dec[~dropped], values[~dropped], errors[~dropped] ** -2
     # weighted means at the centres of cells: bands of equal area, each in 2 BANDS steps of right ascension
-    band = np.minimum(((np.sin(dec * DEGREE) + 1.0) * 0.5 * BANDS).astype(int), BANDS - 1)
-    step = ((ra % 360.0) * (BANDS / 180.0)).astype(int) % (2 * BANDS)
-    cells, index = np.unique(2 * BANDS * band + step, return_inverse=True)
+    cells, index = np.unique(sky_cells(ra * DEGREE, dec * DEGREE, BANDS), return_inverse=True)
     east, north = (np.bincount(index, w * v) / np.bincount(index, w) for w, v in zip(weights.T, values.T, strict=True))
     middle = np.arcsin((cells // (2 * BANDS) + 0.5) / BANDS * 2.0 - 1.0) / DEGREE
     return (cells % (2 * BANDS) + 0.5) * 180.0 / BANDS, middle, east, north, np.zeros(len(cells), dtype=bool)
