@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from linksweep.core.frames import Array, Indices, LinkError
-from linksweep.core.tie.astrometry import Differences
+from linksweep.core.tie.astrometry import Differences, by_errors
 from linksweep.core.tie.problem import KeptSources, NormalSums, Problem, add_separations, covariance_of, eliminate
 from linksweep.core.unknowns import Unknowns
 
@@ -226,7 +226,6 @@ class Simulation:
 
 def _half(covariance: Array) -> Array:
     """Return a square root L of each covariance (N, 5, 5), L L' = C, which may be singular."""
-    scale = np.sqrt(np.einsum("nii->ni", covariance))
-    safe = np.where(scale > 0.0, scale, 1.0)
-    values, vectors = np.linalg.eigh(covariance / (safe[:, :, None] * safe[:, None, :]))
-    return np.asarray(scale[:, :, None] * vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])
+    errors, correlations = by_errors(covariance)
+    values, vectors = np.linalg.eigh(np.moveaxis(correlations, -1, 0))
+    return np.asarray(errors.T[:, :, None] * vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])

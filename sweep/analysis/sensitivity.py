@@ -14,7 +14,6 @@ Safety 107, 149); for texts and for few different numbers it is the mean of each
 import json
 import warnings
 from collections.abc import Callable, Sequence
-from importlib import import_module
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -325,12 +324,10 @@ def morris_effects(values: Array, places: Array, seed: int = 0) -> list[Array]:
 def _by_salib(
     method: str, parameters: int, keys: Sequence[str], *data: Array, seed: int, **options: Any
 ) -> list[Array]:
-    salib()
-    analyze = import_module(f"SALib.analyze.{method}").analyze
     options |= {"num_resamples": RESAMPLES, "conf_level": ONE_SIGMA, "seed": seed + 1}  # SALib takes 0 for no seed
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # SALib warns that there are no groups
-        estimated = analyze(unit_cube(parameters), *data, **options)
+        estimated = salib(f"analyze.{method}").analyze(unit_cube(parameters), *data, **options)
     return [np.ma.getdata(estimated[key]).astype(float) for key in keys]
 
 

@@ -16,6 +16,7 @@ from decimal import Context, Decimal
 from enum import Enum
 from fractions import Fraction
 from functools import cached_property, partial
+from importlib import import_module
 from itertools import accumulate, pairwise, repeat
 from os import PathLike
 from pathlib import Path, PurePath
@@ -438,7 +439,7 @@ def _scipy(name: str, n: int, dimensions: int, rng: np.random.Generator) -> Any:
 
 
 def _salib(name: str, n: int, dimensions: int, rng: np.random.Generator, **options: Any) -> Any:
-    return getattr(salib().sample, name).sample(unit_cube(dimensions), n, seed=rng, **options)
+    return salib(f"sample.{name}").sample(unit_cube(dimensions), n, seed=rng, **options)
 
 
 DESIGNS: Mapping[str, Design] = {
@@ -451,15 +452,12 @@ DESIGNS: Mapping[str, Design] = {
 }
 
 
-def salib() -> Any:
-    """Return SALib with its samplers; raises SweepError unless it can be imported."""
+def salib(module: str) -> Any:
+    """Return a module of SALib; raises SweepError unless it can be imported."""
     try:
-        import SALib
-        import SALib.sample.morris
-        import SALib.sample.sobol
+        return import_module(f"SALib.{module}")
     except ImportError as error:
         raise SweepError("needs SALib, which is not installed: pip install 'linksweep[sensitivity]'") from error
-    return SALib
 
 
 def unit_cube(dimensions: int) -> dict[str, Any]:
