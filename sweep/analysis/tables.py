@@ -255,7 +255,8 @@ def _component_tables(dataset: xr.Dataset) -> Iterator[Table]:
     """Yield the components of the points with the worst condition, of the first quantity that has errors and one
     dimension beside the axes; nothing for results without a condition number.
     """
-    names = (n for n in map(str, dataset.data_vars) if len(quantity.own_dimensions(dataset, n)) == 1)
+    known = (n for n in map(str, dataset.data_vars) if dataset[n].notnull().any())
+    names = (n for n in known if len(quantity.own_dimensions(dataset, n)) == 1)
     name = next((n for n in names if quantity.standard_error(dataset, n) is not None), "")
     conditions, shape = _conditions(dataset), dataset["status"].shape
     worst = np.argsort(-conditions, kind="stable")[: np.count_nonzero(conditions >= 0.0)]
@@ -264,8 +265,9 @@ def _component_tables(dataset: xr.Dataset) -> Iterator[Table]:
         point = dataset.isel(index)
         (dim,) = map(str, point[name].dims)
         labels, facts = point[dim].values.tolist(), f"condition number {conditions[flat]:.3g}"
-        if CORRELATION in point and int(point["n_sim_done"]) >= FEWEST and point[CORRELATION].notnull().any():
-            beside = np.where(np.eye(len(labels), dtype=bool), 0.0, np.nan_to_num(point[CORRELATION].values))
+        pairs = point.get(CORRELATION, point[dim])
+        if pairs.dims == (dim, f"{dim}_other") and int(point["n_sim_done"]) >= FEWEST and pairs.notnull().any():
+            beside = np.where(np.eye(len(labels), dtype=bool), 0.0, np.nan_to_num(pairs.values))
             i, j = sorted(np.unravel_index(np.argmax(np.abs(beside)), beside.shape))
             facts += f", largest correlation {beside[i, j]:.3f} ({labels[i]}, {labels[j]})"
         units = point[f"{dim}_unit"].values.tolist() if f"{dim}_unit" in point.coords else [""] * len(labels)

@@ -205,9 +205,8 @@ def with_literal_texts(dataset: xr.Dataset) -> xr.Dataset:
     texts = {n: array for n, array in dataset.variables.items() if array.dtype.kind in "OUT"}
     marked = {n: array for n, array in texts.items() if any("$" in str(text) for text in array.values.flat)}
     changed = {n: a.copy(data=np.vectorize(literal, otypes="O")(a.values.astype(object))) for n, a in marked.items()}
-    coordinates = {n: array for n, array in changed.items() if n in dataset.coords}
     named = {name: literal(text) for name, text in dataset.attrs.items() if name == "title"}
-    return dataset.assign(changed).assign_coords(coordinates).assign_attrs(named)
+    return dataset.assign(changed).assign_attrs(named)
 
 
 def symbol(name: str, attributes: Mapping[str, Any] | None = None) -> str:
