@@ -570,7 +570,7 @@ def _apart(columns: Cells, form: PointsForm, values: Values) -> tuple[Cells, dic
             if problem:
                 raise ValueError(problem)
             labels[name] = labels_of(columns[name])
-    for name in columns.keys() - {*parameters, *form.labels}:
+    for name in (name for name in columns if name not in (*parameters, *form.labels)):
         hint = f"{suggest(name, parameters)}; as a label: labels = [{json.dumps(name)}]"
         values.problems.add(("points", form.source, name), f"unknown parameter {shown(name)}{hint}")
     return {name: columns[name] for name in columns if name in parameters}, labels
