@@ -549,10 +549,9 @@ def read_keys(location: Location, parts: Sequence[LedgerPart]) -> list[tuple[NDA
     Nothing else of the rows is looked at.  Raises ValueError where a file is missing or not what was written.
     """
     contents = location.get_all([path_of(part.rows) for part in parts])
-    raw = [_raw(part.rows, contents.pop(path_of(part.rows))) for part in parts]
-    read, width = np.frombuffer, KEY_BYTES // 8
-    pairs = [(one, part.records) for one, part in zip(raw, parts, strict=True)]
-    return [(read(o, "<u8", n * width).reshape(-1, width), read(o, "<f8", n, n * KEY_BYTES)) for o, n in pairs]
+    nothing = np.dtype([])
+    rows = [_unpacked(_raw(part.rows, contents.pop(path_of(part.rows))), part.records, nothing) for part in parts]
+    return [(one["key"].copy().view("<u8").reshape(-1, KEY_BYTES // 8), one["seconds"]) for one in rows]
 
 
 def read_failures(location: Location, manifest: Manifest) -> dict[bytes, Record]:
