@@ -440,7 +440,7 @@ def status(store: "Location" = cli.STORE, as_json: bool = cli.JSON) -> None:
         cli.print_wrapped(f"warning: {sentence}")
     if failures := report["failures"]:
         cli.put(f"\n{counted(len(failures), 'point')} failed:")
-        for reason in progress.reasons_of(failures).in_words():
+        for reason in progress.Reasons(failures).in_words():
             cli.print_wrapped(reason, "  ", "    ")
         if len(failures) > 1:
             cli.put(f"sweep status --json {name} has all of them")

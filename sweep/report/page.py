@@ -36,7 +36,7 @@ from linksweep.sweep.contract import Status, SweepError
 from linksweep.sweep.planning.union import REFINED
 from linksweep.sweep.plots import KINDS, figure as drawing, style
 from linksweep.sweep.result import Result, open_result, write_at_once
-from linksweep.sweep.running.progress import reasons_of
+from linksweep.sweep.running.progress import Reasons
 from linksweep.sweep.running.status import SHARE, Tile, Watched, pause
 from linksweep.sweep.stores.location import Where, file_named, located
 from linksweep.sweep.stores.store import is_new
@@ -452,7 +452,7 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> dict[str
         "comparison": _sortable(compare.table(sorted(comparisons, key=_severity))) if comparisons else None,
         "notes": [*tables.warnings_of(dataset), *compare.notes(comparisons), *compare.remarks(dataset)],
         "failures": failures,
-        "reasons": reasons_of(failures).in_words(),
+        "reasons": Reasons(failures).in_words(),
         "failures_not_named": int((dataset["status"] == Status.FAILED).sum()) - len(failures),
         "provenance": _provenance("study", about) | {name: f"version {one}" for name, one in versions.items()},
         # a run from Python has no file

@@ -65,12 +65,18 @@ class MaxFailures:
 
 
 class Reasons:
-    """Reasons why points failed, by what they have in common: of each the first place and message, and how many."""
+    """Reasons why points failed, by what they have in common: of each the first place and message, and how many.
 
-    def __init__(self) -> None:
+    Messages that differ only in numbers, or in a value of their point, are one reason.
+    """
+
+    def __init__(self, failures: Mapping[str, str] | None = None) -> None:
+        """Begin with messages by place."""
         self.points = 0
         self.first: dict[str, tuple[str, str]] = {}
         self._numbers = Counter[str]()
+        for place, message in (failures or {}).items():
+            self.add(place, message)
 
     def add(self, place: str, message: str) -> str:
         """Count a point that failed; return what its reason has in common with others."""
@@ -186,22 +192,11 @@ class FailureCount:
         return f"{of_tried}: {self.reasons}" if exceeded else ""
 
 
-def reasons_of(failures: Mapping[str, str]) -> Reasons:
-    """Return the reasons of failed points from messages by place.
-
-    Messages that differ only in numbers, or in a value of their point, are one reason.
-    """
-    reasons = Reasons()
-    for place, message in failures.items():
-        reasons.add(place, message)
-    return reasons
-
-
 def failed_points(failures: Mapping[str, str]) -> str:
     """Return how many points failed and why, from messages by place: '3 points failed: 2 like KeyError: 'y', for
     example at sky=clear; ValueError: no sun, at sky=dark'.
     """
-    return f"{counted(len(failures), 'point')} failed: {reasons_of(failures)}"
+    return f"{counted(len(failures), 'point')} failed: {Reasons(failures)}"
 
 
 def in_common(place: str, message: str) -> str:

@@ -19,7 +19,7 @@ from linksweep.sweep.formatting import in_words, per_second
 from linksweep.sweep.planning.grid import Grid, describe, failures_by_place
 from linksweep.sweep.planning.plan import Plan
 from linksweep.sweep.planning.union import rounds_of
-from linksweep.sweep.running.progress import reasons_of
+from linksweep.sweep.running.progress import Reasons
 from linksweep.sweep.stores.integrity import MANIFEST, ROOT, STORE, newest
 from linksweep.sweep.stores.ledger import Record, read_failures, read_keys
 from linksweep.sweep.stores.location import Location, Where, holder, located, reading
@@ -293,7 +293,7 @@ class Watched:
         is_shown = points.find(_numbers(failed)[:, 0]) >= 0  # others have left the dataset
         failed = {digest: failed[digest] for digest, shown in zip(failed, is_shown, strict=True) if shown}
         by_place = {record["place"]: record for record in failed.values()}
-        reasons = reasons_of({place: record["message"] for place, record in by_place.items()})
+        reasons = Reasons({place: record["message"] for place, record in by_place.items()})
         self.reasons = [(points, by_place[place]) for points, place, _ in reasons.most()]
         new = [part for part in manifest.parts if part.rows.name not in self._parts]
         keys = zip(new, read_keys(self.location, new), strict=True)
