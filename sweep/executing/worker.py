@@ -513,10 +513,7 @@ def alike(units: Sequence[PointBlock]) -> Iterator[tuple[PointBlock, ...]]:
 
 def _succeeded(outcomes: Sequence[Outcome], seconds: float) -> TaskResult:
     """Return the result of points that were computed in one call."""
-    result = TaskResult.failed(len(outcomes))
-    result.outcomes.update(enumerate(outcomes))
-    result.seconds[:] = seconds / len(outcomes)
-    return result
+    return TaskResult(np.full(len(outcomes), seconds / len(outcomes)), dict(enumerate(outcomes)))
 
 
 def _with_printed(result: TaskResult, printed: Captured | None) -> TaskResult:

@@ -164,7 +164,7 @@ class Store(OpenStore):
             words = "was made by another version of linksweep, with other sums; its results can be read, but to compute"
             raise SweepError(f"{words} more run the study into a new store with -o", str(self.location))
         lost, keys = lost_integers(self._ledger.read(), dtype), self.rows.keys_of_rows()
-        self._ledger.retype(dtype, samples_width, [keys[row] for row in lost if keys[row] in self.rows])
+        self._ledger.retype(dtype, samples_width, [keys[row] for row in lost])
 
     def again(self, records: Mapping[bytes, ledgers.Record | None]) -> None:
         """Forget what is done of points, by their digests, and let them have failed for the reasons in ``records``, if
