@@ -14,6 +14,7 @@ from importlib import import_module
 from itertools import pairwise
 from pathlib import Path
 from threading import Event, RLock, Thread
+from timeit import timeit
 from typing import Any
 
 import numpy as np
@@ -407,9 +408,8 @@ class Writer:
             self._unflushed = True
             if clock - self._flushed > TUNED.flush_every_s:
                 self.flush()
-        done = size_of(works, len(ended))
-        if result.failures:
-            done = replace(done, realisations=sum(points[row][1].realisations for row in good))
+        realisations = sum(points[row][1].realisations for row in good)
+        done = replace(size_of(works, len(ended)), realisations=realisations)
         begun = {i for row in good if self.accumulator.is_missing(i := points[row][0].index)}
         return Taken(done, size_of(added, 0), tuple(ended), failed, begun)
 
@@ -904,12 +904,8 @@ def plan_report(study: Study, store: Where, workers: int | None = None, accept_c
 
 def _normals_per_second() -> float:
     """Time a quarter of a million normals: what a realisation costs is nearly all random numbers."""
-    rng = np.random.Generator(np.random.SFC64(0))
-    buffer = np.empty(65536)
-    begun = time.perf_counter()
-    for _ in range(4):
-        rng.standard_normal(out=buffer)
-    return 4 * buffer.size / (time.perf_counter() - begun)
+    rng, buffer = np.random.Generator(np.random.SFC64(0)), np.empty(65536)
+    return 4 * buffer.size / timeit(lambda: rng.standard_normal(out=buffer), number=4)
 
 
 def run_study(
