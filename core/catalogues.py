@@ -603,9 +603,7 @@ class File(CatalogueKind):
         return f"row {rows[k] + 1}" + (f" ({', '.join(known)})" if known else "")
 
     def problem(self, point: Point) -> str | None:
-        """Return a problem unless the table is given, readable, and has enough rows; limits need magnitudes."""
-        if point["file"] is None:
-            return "file: catalogue = 'file' needs a file, and other catalogues have none"
+        """Return a problem unless the table is readable and has enough rows; limits need magnitudes."""
         limits = [name for name in ("v_min", "v_max") if point[name] is not None]
         if limits and np.any(np.isnan(_whole(_key(point)).v_mag)):
             return f"{limits[-1]} needs a magnitude column (v_mag, phot_g_mean_mag, vt_mag) in the file"

@@ -30,7 +30,7 @@ from typing import NamedTuple
 import numpy as np
 
 from linksweep.core import frames
-from linksweep.core.frames import Array, LinkError, UnlikeError, product_sum
+from linksweep.core.frames import Array, LinkError, product_sum
 from linksweep.core.setup import Noise, Prefixes, Setup, SharedSums, Tile, origin, parts
 from linksweep.core.unknowns import GLIDE, ORIENTATION, SPIN, link_unknowns
 
@@ -501,7 +501,7 @@ class NoisyDesign:
         self.small = FARTHEST * self.reference_sigma[:, :2].max(axis=1) < SMALL_ANGLE * self.cos_dec
         # the two ways round differently, so a stack must go the same way as each of its catalogues alone
         if setup.stack and not self.small.all():
-            raise UnlikeError("some of the catalogues have objects whose errors are no small angles")
+            raise LinkError("some of the catalogues have objects whose errors are no small angles")
         inverse_variance = setup.counted * each(setup.sigma) ** -2.0
         equal = setup.scenario.weighting == "equal"
         # the weights of the solution, then those of chi2 where they differ; (catalogues, N, 4)

@@ -62,7 +62,7 @@ def check(point: Point) -> str | None:
 def _catalogue_problem(point: Point) -> str | None:
     kind = setup.catalogue_kind(point)
     uses = kind.uses(point)
-    if point["file"] is not None and "file" not in uses:
+    if (point["file"] is not None) != ("file" in uses):
         return "file: catalogue = 'file' needs a file, and other catalogues have none"
     if not uses >= RANDOM_SKY and (point["zone_of_avoidance"] > 0.0 or point["sky_contrast"] != 0.0):
         return "zone_of_avoidance and sky_contrast are for random positions (positions = 'isotropic')"

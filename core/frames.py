@@ -245,10 +245,6 @@ class LinkError(ValueError):
     """The link cannot be solved; the message names the object or the cause."""
 
 
-class UnlikeError(LinkError):
-    """Catalogues cannot be computed together."""
-
-
 def require_off_poles(dec: Array, cos_dec: Array) -> None:
     """Raise LinkError for the first object (last axis of ``dec``, rad) at a pole, where ra is undefined."""
     at_pole = cos_dec < POLE_LIMIT

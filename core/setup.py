@@ -28,7 +28,7 @@ from linksweep.core import frames
 from linksweep.core.catalogues import CATALOGUES, Catalogue, CatalogueKind, NestedDraw
 from linksweep.core.errors import ErrorModel, error_models
 from linksweep.core.fields import Field, Pattern, Systematics, Vector, ZonalErrors, parse_pattern, rms
-from linksweep.core.frames import DEGREE, GALACTIC_AXES, MAS, OBSERVABLES, Array, Stack, UnlikeError, Weighting, along
+from linksweep.core.frames import DEGREE, GALACTIC_AXES, MAS, OBSERVABLES, Array, LinkError, Stack, Weighting, along
 from linksweep.core.unknowns import ORIENTATION, SPIN, Objects
 from linksweep.sweep.contract import Point
 
@@ -398,8 +398,8 @@ def prepare(scenario: Scenario, catalogue: Catalogue, vectors: Array, shared: Pr
     """Return the errors and differences of the objects of a catalogue; ``vectors`` (2, 3) are its true orientation
     (rad) and spin (rad/yr).
 
-    Raises LinkError where they cannot be weighed, UnlikeError for a stack in which only some catalogues have errors, or
-    errors are correlated.
+    Raises LinkError where they cannot be weighed, and for a stack in which only some catalogues have errors, or errors
+    are correlated.
     """
     for whole in shared.setups:
         if whole.scenario == scenario:
@@ -407,10 +407,10 @@ def prepare(scenario: Scenario, catalogue: Catalogue, vectors: Array, shared: Pr
     reference, satellite = (_noise(scenario, side, catalogue, shared) for side in ("reference", "satellite"))
     for side in (reference, satellite) if stack else ():
         if side.factor is not None:
-            raise UnlikeError("the errors of an object are correlated")
+            raise LinkError("the errors of an object are correlated")
         have_errors = np.any(side.stated.reshape(*stack, -1), axis=-1)
         if np.any(have_errors) != np.all(have_errors):
-            raise UnlikeError("some of the catalogues have no errors")
+            raise LinkError("some of the catalogues have no errors")
     stated = reference.stated, satellite.stated
     by_object = bool(np.all(satellite.stated > 0.0))  # then the result of an object depends on no other one
     if by_object:

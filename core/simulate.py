@@ -53,8 +53,8 @@ def simulate_stack(scenario: Scenario, n_sim: int, streams: Sequence[Streams]) -
     """Return what `simulate` returns for a catalogue from each pair of generators ``streams``, to the last bit, from
     operations on all of them at once.
 
-    Raises UnlikeError for catalogues that cannot be computed together (see `can_stack`), and LinkError as `simulate`;
-    the generators cannot be used again then.
+    Raises LinkError as `simulate`, and for catalogues that cannot be computed together (see `can_stack`); then the
+    generators cannot be used again.
     """
     return _simulate([scenario], n_sim, streams, (len(streams),), False)[0]
 

@@ -208,9 +208,8 @@ def accuracy_curves(models: Sequence[str | Named] = ()) -> xr.Dataset:
         calibrated = missions.CALIBRATED.get(name) if isinstance(model, str) else None
         relative = np.full(v.shape, np.nan) if calibrated is None else calibrated.relative_error(v)
         rows[name] = sigma_pm, sigma_pm * relative, sigma_pos, sigma_pos * relative
-    about = {"sigma_pm": ("mas / yr", r"$\sigma_\mu$"), "sigma_pos": ("mas", r"$\sigma_\mathrm{pos}$")}
-    names = [(name, f"{name}{end}") for name in about for end in ("", "_error")]
-    attributes = {each: dict(zip(("units", "symbol"), about[name], strict=True)) for name, each in names}
+    pm, pos = {"units": "mas / yr", "symbol": r"$\sigma_\mu$"}, {"units": "mas", "symbol": r"$\sigma_\mathrm{pos}$"}
+    attributes = {"sigma_pm": pm, "sigma_pm_error": pm, "sigma_pos": pos, "sigma_pos_error": pos}
     arrays = zip(attributes.items(), zip(*rows.values(), strict=True), strict=True)
     variables = {name: (("model", "v"), np.array(array), its) for (name, its), array in arrays}
     coordinates = {"model": np.array(list(rows), dtype=object), "v": ("v", v, MAGNITUDE)}

@@ -63,10 +63,10 @@ def settings(width: float | None = None, style: str | None = None) -> Iterator[N
     if width is None and style == "talk":
         width = TALK_MM
     wanted = BASE | (TALK if style == "talk" else PAPER if style or width else {})
-    chosen = [key for key in wanted if mpl.rcParams[key] != mpl.rcParamsDefault[key]]  # by the user
+    ours = {key: value for key, value in wanted.items() if mpl.rcParams[key] == mpl.rcParamsDefault[key]}
     token = _width.set(None if width is None else width / 25.4)
     try:
-        with mpl.rc_context({key: wanted[key] for key in set(wanted) - set(chosen)}):
+        with mpl.rc_context(ours):
             yield
     finally:
         _width.reset(token)
