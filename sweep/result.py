@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from linksweep.sweep.contract import SweepError
+from linksweep.sweep.stores.location import Folder, reading
 from linksweep.sweep.table_writer import Table
 
 if TYPE_CHECKING:
@@ -105,15 +106,13 @@ def write_at_once(path: Path, write: Callable[[Path], Any]) -> None:
 
     The name is the same in another folder, because the format may depend on it.
     """
-    try:
+    with reading(path, "cannot be written"):
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as folder:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
                 write(Path(folder) / path.name)
             (Path(folder) / path.name).replace(path)
-    except OSError as error:
-        raise SweepError(f"cannot be written: {error.strerror or error}", str(path)) from error
 
 
 def require_free(path: Path) -> None:
@@ -138,8 +137,6 @@ def stored_table(where: Any) -> Result | None:
 
     Raises SweepError for one that is damaged.
     """
-    from linksweep.sweep.stores.location import Folder, reading
-
     folder = Path(str(where))
     try:
         attributes = json.loads(Folder(folder).get("zarr.json") or b"{}").get("attributes", {})

@@ -668,7 +668,7 @@ def new(name: str = arg(), experiment: str = EXPERIMENT) -> None:
     sweep new mine my_experiment.py:experiment
     """
     from linksweep.sweep import code, contract
-    from linksweep.sweep.stores.location import Folder
+    from linksweep.sweep.stores.location import Folder, reading
     from linksweep.sweep.studies import new as made, reader
 
     if not reader.GOOD_NAME.fullmatch(name):
@@ -676,10 +676,8 @@ def new(name: str = arg(), experiment: str = EXPERIMENT) -> None:
         raise linksweep.SweepError(f"{contract.shown(name)} is no name for a study: {rule}")
     path = Path(f"{name}.toml")
     text = made.new_study(name, experiment, code.load_experiment(experiment)).encode(errors="replace")
-    try:
+    with reading(path, "cannot be written"):
         is_made = Folder(Path()).create(path.name, text)
-    except OSError as error:
-        raise linksweep.SweepError(f"cannot be written: {error.strerror or error}", str(path)) from error
     if not is_made:
         raise linksweep.SweepError("exists already; take another name", str(path))
     cli.wrote(path, f"; edit it, then: sweep plan {typed(path)}")

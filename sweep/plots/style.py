@@ -23,6 +23,7 @@ from scipy.special import chdtri
 from linksweep.sweep import formatting
 from linksweep.sweep.analysis import answer, quantity
 from linksweep.sweep.contract import Array, SweepError, shown, suggest
+from linksweep.sweep.stores.location import reading
 from linksweep.sweep.studies.study import FigureForm
 
 # Safe for the colour-blind.  Source: Okabe & Ito 2008.
@@ -173,13 +174,11 @@ def save(figure: Figure, path: Path, words: str = "") -> None:
     ``words`` if there are any; raises SweepError.
     """
     require_format(path)
-    try:
+    with reading(path, "cannot draw there"):
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path, dpi=300, metadata=FORMATS[path.suffix.lower()])
         if words:
             path.with_suffix(".txt").write_text(words, encoding="utf-8")
-    except OSError as error:
-        raise SweepError(f"cannot draw there: {error.strerror or error}", str(path)) from error
 
 
 # Labels

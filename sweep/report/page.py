@@ -38,7 +38,7 @@ from linksweep.sweep.plots import KINDS, figure as drawing, style
 from linksweep.sweep.result import Result, open_result, write_at_once
 from linksweep.sweep.running.progress import Reasons
 from linksweep.sweep.running.status import SHARE, Tile, Watched, pause
-from linksweep.sweep.stores.location import Where, file_named, located
+from linksweep.sweep.stores.location import Where, file_named, located, reading
 from linksweep.sweep.stores.store import is_new
 from linksweep.sweep.studies.record import CITATION, FUNCTION
 from linksweep.sweep.studies.study import POINT, POINT_TABLE
@@ -338,15 +338,13 @@ def default_path(stores: Sequence[Where]) -> Path:
 
 def check_output(path: Path) -> None:
     """Raise SweepError unless a report can be written to a path: a new file or an earlier report in a folder."""
-    try:
+    with reading(path, "cannot be written"):
         if path.is_dir():
             raise SweepError("is a directory; give the name of a file with -o", str(path))
         if path.suffix.lower() not in (".html", ".htm"):
             raise SweepError("cannot be a report: its name must end with .html or .htm", str(path))
         if path.exists() and not path.read_bytes().startswith(MARK.encode()):
             raise SweepError("exists and is no report of linksweep; give another name with -o", str(path))
-    except OSError as error:
-        raise SweepError(f"cannot be written: {error.strerror or error}", str(path)) from error
 
 
 def write_report(page: str, path: Path) -> None:

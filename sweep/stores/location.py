@@ -506,8 +506,8 @@ def located(where: Where) -> Location:
 
 
 @contextmanager
-def reading(location: Location, failed: str = "cannot be read", more: str = "") -> Iterator[None]:
-    """Turn an OSError into a SweepError that says that the store cannot be read."""
+def reading(location: Location | Path, failed: str = "cannot be read", more: str = "") -> Iterator[None]:
+    """Turn an OSError into a SweepError that says that a store or a file cannot be read, or what else has failed."""
     try:
         yield
     except OSError as error:
