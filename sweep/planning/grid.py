@@ -144,7 +144,7 @@ class Grid:
         for start in range(0, len(indices), AT_ONCE):
             some = indices[start : start + AT_ONCE]
             digests = self.digests(some)
-            streams = self._digests(some, self._shared) if self._shared else digests
+            streams = self.digests(some, self._shared) if self._shared else digests
             for index, (parameters, *_), digest, stream in zip(
                 some.tolist(), self._raw(some), digests, streams, strict=True
             ):
@@ -182,16 +182,13 @@ class Grid:
         """Return the point at an index, excluded or not."""
         return next(self.points(np.array([index])))
 
-    def digests(self, indices: NDArray[np.intp]) -> list[bytes]:
-        """Return the digests of the points at ``indices``: 16 bytes that identify a point by its own parameters.
+    def digests(self, indices: NDArray[np.intp], left_out: Collection[str] = ()) -> list[bytes]:
+        """Return the digests of the points at ``indices``: 16 bytes that identify a point by its own parameters, all
+        but those ``left_out``.
 
         Parameters at their default do not count, so that the digests of old points stay the same when a later version
         adds a parameter.
         """
-        return self._digests(indices)
-
-    def _digests(self, indices: NDArray[np.intp], left_out: Collection[str] = ()) -> list[bytes]:
-        """Return digests of points by all their parameters except those ``left_out``."""
         places = dict(zip(self.dimensions, self._places(indices), strict=True))
         known = [entry for entry in self._texts_along if entry[0] not in left_out]
         gone = [missing for _, missing, _ in self._raw(indices)] if self.study.when else []
@@ -202,9 +199,7 @@ class Grid:
                 numbers = [-1 if name in some else number for number, some in zip(numbers, gone, strict=True)]
             texts.append(map(along.__getitem__, numbers))
         rows: Iterable[Iterable[Any]] = zip(*texts, strict=True) if texts else itertools.repeat((), len(indices))
-        if any(None in along for *_, along in known):  # a parameter at its default
-            rows = (filter(None, row) for row in rows)
-        return [blake2b(f"{{{', '.join(row)}}}".encode(), digest_size=16).digest() for row in rows]
+        return [blake2b(f"{{{', '.join(filter(None, row))}}}".encode(), digest_size=16).digest() for row in rows]
 
     @cached_property
     def _texts_along(self) -> list[tuple[str, str | None, list[str | None]]]:
