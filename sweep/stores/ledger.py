@@ -12,7 +12,6 @@ was not finished, or was computed again.
 """
 
 import json
-import math
 import re
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -123,11 +122,6 @@ class Stored:
     chunks: NDArray[np.void]
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
-
-    @property
-    def size(self) -> int:
-        """The number of values."""
-        return math.prod(self.shape)
 
     @property
     def nbytes(self) -> int:
