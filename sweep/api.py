@@ -16,7 +16,7 @@ import xarray as xr
 from rich.console import Console
 
 from linksweep.sweep.analysis.answer import answer_in_short, completeness
-from linksweep.sweep.contract import Experiment, SweepError, shown
+from linksweep.sweep.contract import Experiment, SweepError, refused, shown
 from linksweep.sweep.executing.pools import NO_LIMITS, Limits, PoolName, Resources
 from linksweep.sweep.formatting import harmless, with_micro_signs
 from linksweep.sweep.result import Result, open_result
@@ -165,10 +165,8 @@ def run(
 
 def _parsed(name: str, value: Any, parse: Callable[[Any], Any]) -> Any:
     """Return what the value of an argument says, None for None; raises SweepError that names the argument."""
-    try:
+    with refused(ValueError, said=f"{name} = "):
         return None if value is None else parse(value)
-    except ValueError as error:
-        raise SweepError(f"{name} = {error}") from error
 
 
 def refine(
@@ -391,9 +389,9 @@ def _study(study: str | Path | Mapping[str, Any] | Study | Callable[..., Any], o
     if isinstance(study, Mapping):
         study = live_study(study)
     loaded = study if isinstance(study, Study) else load_study(str(study))
-    if refused := [name for name, value in options.items() if value is not None]:
+    if stray := [name for name, value in options.items() if value is not None]:
         how = 'load_study("NAME", axes=["x=1,2"], settings=["n_sim=50"]) changes them'
-        raise SweepError(f"{', '.join(refused)}: allowed only for a function; a study has its own; {how}")
+        raise SweepError(f"{', '.join(stray)}: allowed only for a function; a study has its own; {how}")
     return loaded
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from linksweep.sweep import formatting
 from linksweep.sweep.analysis import compare, quantity
-from linksweep.sweep.contract import Array, Status, SweepError
+from linksweep.sweep.contract import Array, Status, refused
 from linksweep.sweep.studies.study import POINT, Conclusion, ConclusionValue
 
 if TYPE_CHECKING:
@@ -212,10 +212,8 @@ def conclusion_in_words(dataset: xr.Dataset) -> list[str]:
     """
     if CONCLUSION not in dataset.attrs:
         return []
-    try:
+    with refused(ValueError, TypeError, said=f"the attribute {CONCLUSION!r} cannot be read: "):
         conclusion = Conclusion.model_validate_json(dataset.attrs[CONCLUSION])
-    except (ValueError, TypeError) as error:
-        raise SweepError(f"the attribute {CONCLUSION!r} cannot be read: {error}") from error
     filled, missing = [], []
     for sentence in conclusion.sentences:
         try:

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import FEW, FEWEST_SAMPLES, Array, Status, SweepError, shown, small_sample_factor, suggest
-from linksweep.sweep.contract.rows import LENGTH, count_status, unfinished_in_words
+from linksweep.sweep.contract import FEW, FEWEST_SAMPLES, Array, Status, SweepError, refused, shown, suggest
+from linksweep.sweep.contract.rows import LENGTH, count_status, small_sample_factor, unfinished_in_words
 from linksweep.sweep.formatting import ERRORS, RAGGED, first_of, is_missing, is_truth, meant, plain, prefixed, units_of
 from linksweep.sweep.planning.grid import Grid, GridPoint
 from linksweep.sweep.stores.location import Where
@@ -178,10 +178,8 @@ def parts_of(dataset: xr.Dataset, name: str) -> dict[str, xr.DataArray]:
 
 def claims_of(dataset: xr.Dataset) -> list[Claim]:
     """Return the claims that a dataset carries in its attributes; raises SweepError if they cannot be read."""
-    try:
+    with refused(ValueError, TypeError, said="the attribute 'claims' cannot be read: "):
         return [Claim.model_validate(claim) for claim in json.loads(dataset.attrs.get("claims", "[]"))]
-    except (ValueError, TypeError) as error:
-        raise SweepError(f"the attribute 'claims' cannot be read: {error}") from error
 
 
 # Points that share random numbers

@@ -611,6 +611,7 @@ def submit(
     sweep submit quasars --slurm 100 --sbatch --time=1:00:00
     sweep submit quasars --slurm 100 --go
     """
+    from linksweep.sweep.contract import refused
     from linksweep.sweep.planning.grid import make_grid
     from linksweep.sweep.running.merge import require_free
     from linksweep.sweep.stores.location import Folder, file_named
@@ -642,7 +643,7 @@ def submit(
         parts=typed(f"{store}.part-*-of-{tasks}"),
     ).encode(errors="surrogateescape")  # names of files need not be UTF-8
     file = folder / "submit.sh"
-    try:
+    with refused(OSError, subprocess.CalledProcessError, said="cannot be written or submitted: ", where=file):
         if file.exists() and file.read_bytes() != script:
             raise linksweep.SweepError("is there already, and another one; submit it with sh, or remove it", str(file))
         folder.mkdir(parents=True, exist_ok=True)
@@ -650,8 +651,6 @@ def submit(
         cli.wrote(file, "" if go else f"; submit it with: sh {typed(file)}")
         if go:
             subprocess.run(["sh", str(file)], check=True)
-    except (OSError, subprocess.CalledProcessError) as error:
-        raise linksweep.SweepError(f"cannot be written or submitted: {error}", str(file)) from error
 
 
 EXPERIMENT = arg(default="linksweep.core.experiment:link")

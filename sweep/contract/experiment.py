@@ -13,6 +13,7 @@ import reprlib
 import sys
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from decimal import Context, Decimal
 from fractions import Fraction
@@ -57,6 +58,15 @@ class SweepError(Exception):
     def _render_traceback_(self) -> list[str]:
         """Return what IPython shows in place of a traceback, which would be that of linksweep."""
         return [f"{type(self).__name__}: {self}"]
+
+
+@contextmanager
+def refused(*errors: type[Exception], said: str = "", where: object = "") -> Iterator[None]:
+    """Turn errors of some types into a SweepError about a place with their text, behind what is ``said`` before it."""
+    try:
+        yield
+    except errors as error:
+        raise SweepError(f"{said}{error}", str(where)) from error
 
 
 class _Short(reprlib.Repr):

@@ -32,7 +32,7 @@ from threadpoolctl import threadpool_limits
 from tornado.ioloop import PeriodicCallback
 
 from linksweep.sweep.code import provide, sendable, source_digest
-from linksweep.sweep.contract import SweepError, shown, suggest
+from linksweep.sweep.contract import SweepError, refused, shown, suggest
 from linksweep.sweep.executing.executor import KEEP_BYTES, ONE_THREAD, Children
 from linksweep.sweep.executing.pools import Limits, Place, Resources, available_cores
 from linksweep.sweep.executing.task import AnyJob, Call, Executor, Failure, Identity, Task, other_versions
@@ -176,10 +176,8 @@ def tls(ca: Path, cert: Path, key: Path) -> Security:
     pair = {"cert": str(cert), "key": str(key)}
     roles = {f"tls_{role}_{name}": pair[name] for role in ("client", "scheduler", "worker") for name in pair}
     security = Security(tls_ca_file=str(ca), require_encryption=True, **roles)
-    try:
+    with refused(OSError, said=f"cannot use the TLS files {ca}, {cert} and {key}: "):  # ssl.SSLError is one
         security.get_connection_args("client")
-    except OSError as error:  # ssl.SSLError is one
-        raise SweepError(f"cannot use the TLS files {ca}, {cert} and {key}: {error}") from error
     return security
 
 

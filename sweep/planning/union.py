@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import Experiment, Named, Parameter, Point, SweepError, Unknown, Value, shown
+from linksweep.sweep.contract import Experiment, Named, Parameter, Point, SweepError, Unknown, Value, refused, shown
 from linksweep.sweep.formatting import counted
 from linksweep.sweep.planning.grid import MAX_POINTS, NO_EFFECT, Grid, GridPoint, all_but
 from linksweep.sweep.studies.points import MAX_VALUES, Values, is_empty, labels_of, numbers_like, require_distinct
@@ -159,14 +159,12 @@ def _values(parameter: Parameter, column: Sequence[Value], is_table: bool) -> tu
     """
     known = {value: value for value in (parameter.default, *parameter.defined)}
     values = tuple(known.get(value, value) if isinstance(value, Named) else value for value in column)
-    try:
+    with refused(ValueError, said=f"{parameter.name}, with its values in the store: "):
         plain = {(type(value), value): value for value in column if not isinstance(value, Named)}
         if changed := [one for (kind, _), one in plain.items() if type(parameter.parse(one)) is not kind]:
             raise ValueError(f"{changed[0]!r} would be {parameter.parse(changed[0])!r}")
         require_distinct(values, is_table)
         Values.require_labels(values)
-    except ValueError as error:
-        raise SweepError(f"{parameter.name}, with its values in the store: {error}") from error
     return values
 
 

@@ -22,7 +22,7 @@ from scipy.special import chdtri
 
 from linksweep.sweep import formatting
 from linksweep.sweep.analysis import answer, quantity
-from linksweep.sweep.contract import Array, SweepError, shown, suggest
+from linksweep.sweep.contract import Array, SweepError, refused, shown, suggest
 from linksweep.sweep.stores.location import reading
 from linksweep.sweep.studies.study import FigureForm
 
@@ -346,10 +346,8 @@ def with_scales(dataset: xr.Dataset, log: Sequence[str] = (), linear: Sequence[s
 
 def form_of(dataset: xr.Dataset) -> FigureForm:
     """Return what the study of a dataset says about its figure; raises SweepError where that cannot be read."""
-    try:
+    with refused(ValueError, TypeError, AttributeError, said="the table [figure] of the study cannot be read: "):
         return FigureForm.model_validate(json.loads(dataset.attrs.get("study_document", "{}")).get("figure", {}))
-    except (ValueError, TypeError, AttributeError) as error:
-        raise SweepError(f"the table [figure] of the study cannot be read: {error}") from error
 
 
 def is_logarithmic(array: xr.DataArray) -> bool:

@@ -25,13 +25,13 @@ import xarray as xr
 from scipy.spatial import KDTree
 
 from linksweep.core.frames import ARCSEC, DEGREE, MAS, Array, Flags, Indices, position, triad
-from linksweep.sweep.contract import Parameter, SweepError
+from linksweep.sweep.contract import Parameter, SweepError, refused
 from linksweep.sweep.formatting import first_of, with_error
 from linksweep.sweep.result import Result, write_at_once
 from linksweep.sweep.search.options import SearchOptions
 from linksweep.sweep.table_writer import Column, Table
 from linksweep.sweep.tables.columns import EPOCHS, Columns, conditions, rows_where, unit_of
-from linksweep.sweep.tables.options import by_table, number, refused
+from linksweep.sweep.tables.options import by_table, number
 from linksweep.sweep.tables.reader import read_table
 
 MAX_RADIUS = 1.0 * DEGREE
@@ -363,7 +363,7 @@ def _numbers(asked: SearchOptions, name: str, common: Sequence[str], further: Se
     allowed = Parameter(name, "float", unit=unit, above=low, maximum=high)
     of_tables = tuple((f"{table.removesuffix(':')}:", text) for table, text in getattr(asked, name))
     said = by_table(name, of_tables, [*common, *further], common)
-    with refused():
+    with refused(ValueError):
         return {table: allowed.parse(number(one[""])) for table, one in said.items()}
 
 
@@ -392,7 +392,7 @@ def find_matches(search: Search) -> SearchResult:
     supplement = np.repeat(np.arange(len(stars)) == 1, [len(table) for table in stars.values()])
     radii = search.said["radius"]
     catalogues = [GalaxyCatalogue(_positions(t), t["PGC"].to_numpy(), radii[n] * ARCSEC) for n, t in galaxies.items()]
-    with refused():
+    with refused(ValueError):
         return SearchResult(search, stars, galaxies, cross_match(positions, supplement, catalogues, asked))
 
 

@@ -25,7 +25,7 @@ import numpy as np
 from numcodecs import zstd
 from numpy.typing import ArrayLike, NDArray
 
-from linksweep.sweep.contract import Array, Outcome, Rows, SweepError
+from linksweep.sweep.contract import Array, Outcome, Rows, SweepError, refused
 from linksweep.sweep.contract.rows import KEY_BYTES, REFERENCE, BlockRows, absent, chunk_grid, chunk_shape, converted
 from linksweep.sweep.stores import integrity
 from linksweep.sweep.stores.integrity import MANIFEST, ROOT, STORE, File, LedgerPart, Manifest, noting
@@ -181,11 +181,8 @@ class Files(dict[str, Any]):
 def read_chunk(location: Location, reference: bytes) -> bytes:
     """Return the content of a chunk; raises SweepError where it is missing, damaged or cannot be read."""
     file = file_of(reference)
-    with reading(location):
-        try:
-            return integrity.whole(location.get(file), reference.hex())
-        except ValueError as error:
-            raise SweepError(f"{file} cannot be read: {error}", str(location)) from error
+    with reading(location), refused(ValueError, said=f"{file} cannot be read: ", where=location):
+        return integrity.whole(location.get(file), reference.hex())
 
 
 PART_BYTES = 2**22

@@ -32,6 +32,7 @@ from linksweep.sweep.contract.experiment import (
     is_quantity,
     name_problem,
     quantity_of,
+    refused,
     rescaled,
     same_unit,
 )
@@ -802,10 +803,8 @@ def plain_values(values: Any, where: str) -> Any:
     if isinstance(values, Mapping):
         if values.keys() & {"start", "values"}:
             return {key: plain_values(one, f"{where}.{key}") for key, one in values.items()}
-        try:
+        with refused(ValueError, said=f"{where}: "):
             return [labelled(one, label) for label, one in values.items()]
-        except ValueError as error:
-            raise SweepError(f"{where}: {error}") from error
     if getattr(values, "ndim", 1) > 1:
         values = list(np.asanyarray(values))  # each an object
     kind = getattr(getattr(values, "dtype", None), "kind", "O")

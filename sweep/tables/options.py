@@ -4,8 +4,8 @@ a value with the same sentence.
 A shell asks for them at each press of a key, so that nothing heavy is imported here.
 """
 
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import Field, dataclass, field, fields
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, Self
@@ -57,17 +57,6 @@ def parameter(one: Field[Any]) -> "Parameter":
     from linksweep.sweep.contract import Parameter
 
     return Parameter(one.name, default=one.default, **one.metadata["about"])
-
-
-@contextmanager
-def refused() -> Iterator[None]:
-    """Raise a SweepError for any ValueError, which says what is wrong with what was given."""
-    from linksweep.sweep.contract import SweepError
-
-    try:
-        yield
-    except ValueError as error:  # LinkError is one
-        raise SweepError(str(error)) from error
 
 
 @dataclass(frozen=True)

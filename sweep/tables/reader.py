@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from linksweep.sweep.contract import SweepError
+from linksweep.sweep.contract import SweepError, refused
 
 # The formats of a table, each known by its content; text and XML may be packed with gzip, bzip2 or xz.
 FORMATS = (
@@ -118,10 +118,8 @@ def _by_astropy(form: str, source: Any, **options: Any) -> Any:
 def _read(path: Path, content: bytes, texts: Collection[str]) -> Any:
     packed = next((unpack for mark, unpack in _PACKED.items() if content.startswith(mark)), None)
     if packed is not None:
-        try:
+        with refused(EOFError, ValueError, OSError, lzma.LZMAError, said="is compressed, but incomplete: "):
             content = packed(content)
-        except (EOFError, ValueError, OSError, lzma.LZMAError) as error:
-            raise SweepError(f"is compressed, but incomplete: {error}") from error
     content = content.removeprefix(b"\xef\xbb\xbf")
     start = content[:4096].lstrip().lower()
     if start.startswith(b"simple  ="):

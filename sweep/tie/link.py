@@ -20,12 +20,12 @@ from linksweep.core.tie import forecast as planning, mistakes, problem as solvin
 from linksweep.core.tie.astrometry import ALL_PAIRS, Astrometry, kinds, named_rows
 from linksweep.core.tie.noise import ESTIMATE, Noise, estimated, noises
 from linksweep.core.unknowns import PARAMETERS, Harmonics, Objects, SpinByBin, Unknowns, amplitudes, link_unknowns
-from linksweep.sweep.contract import SweepError, p_value
+from linksweep.sweep.contract import SweepError, p_value, refused
 from linksweep.sweep.executing.executor import mapped
 from linksweep.sweep.executing.pools import NO_LIMITS, Limits, Resources
 from linksweep.sweep.result import require_free, stored_table, write_at_once
 from linksweep.sweep.tables.columns import CORRELATIONS, Columns, unit_of
-from linksweep.sweep.tables.options import number, refused
+from linksweep.sweep.tables.options import number
 from linksweep.sweep.tables.reader import read_table, write_table
 from linksweep.sweep.tie import tables as files
 from linksweep.sweep.tie.options import FORECAST, SIGNS, TABLE, TIE, ApplyOptions, ForecastOptions, Options, listed
@@ -569,10 +569,8 @@ def forecast(satellite: str | Path, reference: str | Path, unknowns: str | None 
     """
     plan = ForecastOptions.named(FORECAST, options, Options)
     asked = Options.named(FORECAST, {"unknowns": unknowns, **options}, ForecastOptions)
-    try:
+    with refused(ValueError, said="add: "):
         add = [DECLARED["epoch"].parse(number(year)) for year in listed(plan.add)]
-    except ValueError as error:
-        raise SweepError(f"add: {error}") from None
     if plan.number and not add:
         raise SweepError(f"{plan.number} sources to choose, but no epochs to observe them at")
     if ESTIMATE in asked.jitter:
@@ -580,7 +578,7 @@ def forecast(satellite: str | Path, reference: str | Path, unknowns: str | None 
     setup = set_up(satellite, reference, asked, plan.all_sources)
     problem = setup.problem
     goal = planning.Goal(problem.unknowns, tuple(listed(plan.goal)), plan.criterion)
-    with refused():
+    with refused(ValueError):
         _ = goal.parts  # raises for an unknown block
         future, old, further = released(problem, plan.release, plan.from_release, asked.epoch is None)
 

@@ -20,12 +20,12 @@ from linksweep.core.tie.forecast import releases_at
 from linksweep.core.tie.noise import ALL, ESTIMATE
 from linksweep.core.tie.problem import Problem, StreamedSources, sources_of
 from linksweep.core.unknowns import SpinByBin, Unknowns, parse_unknowns, require_mission_name, spin_block, spin_by_bin
-from linksweep.sweep.contract import SweepError
+from linksweep.sweep.contract import SweepError, refused
 from linksweep.sweep.executing.executor import Map
 from linksweep.sweep.formatting import first_of, split_assignment
 from linksweep.sweep.tables import reader
 from linksweep.sweep.tables.columns import conditions
-from linksweep.sweep.tables.options import by_table, number, numbers, parameter, refused
+from linksweep.sweep.tables.options import by_table, number, numbers, parameter
 from linksweep.sweep.tie import tables as files
 from linksweep.sweep.tie.options import SIDES, SIGNS, TABLE, Options, listed
 from linksweep.sweep.tie.tables import SOURCE_NAMES, AstrometricTable, TableOptions, astrometric_table, read_table
@@ -69,7 +69,7 @@ def table_options(options: Options) -> dict[str, TableOptions]:
     """Return how each table is read, by its name; raises SweepError for tables that do not exist."""
     missions = list(dict(options.missions))
     names = [*SIDES, *missions]
-    with refused():
+    with refused(ValueError):
         for mission in missions:
             require_mission_name(mission)
         years = [(f"{name}:", DECLARED["epoch"].parse(number(year))) for name, year in options.mission_epochs]
@@ -227,7 +227,7 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
     stars = satellite_at_rest(stars, rows, source)
     epoch = default_epoch(stars.epoch) if options.epoch is None else options.epoch
     problem = Problem(stars, rows, source, Unknowns(()), epoch, options.weights, tables=tuple(tables)[1:])
-    with refused():
+    with refused(ValueError):
         unknowns = unknowns_for(options, problem, notes)
         problem = replace(problem, unknowns=unknowns, known=known_unknowns(options, stars))
     if epochs is not None:
@@ -797,7 +797,7 @@ def set_up_row_groups(
     if (more := len(said) - MOST_NOTES) > 0:
         said[MOST_NOTES:] = [f"{path.name}: {more} more such notes"]
     said += without_motion(n - sum(moving), n)
-    with refused():
+    with refused(ValueError):
         unknowns = _unknowns(replace(groups[np.argmax(moving)], epoch=epoch), np.concatenate(samples), said)
     problems = [replace(group, epoch=epoch, unknowns=unknowns).problem for group in groups]
     row_numbers = np.arange(n + 1)  # one array for the sources and, from 1, for their names

@@ -27,7 +27,7 @@ from linksweep.core.tie.forecast import RELEASES, releases_at
 from linksweep.core.tie.problem import Problem, Solution
 from linksweep.core.tie.transits import COLOUR, ERROR, MODELS, NOISE, PATH, VALUE, Paths, Transits, joint, misfit
 from linksweep.core.unknowns import PARAMETERS
-from linksweep.sweep.contract import SweepError
+from linksweep.sweep.contract import SweepError, refused
 from linksweep.sweep.formatting import first_of
 from linksweep.sweep.tables import columns as archives
 from linksweep.sweep.tables.columns import ACCELERATIONS, CORRELATIONS, Columns, first_found, rows_where
@@ -706,7 +706,7 @@ def read_observations(path: Path) -> tuple[Any, list[str]]:
     units = {name: unit for name, unit in (NEEDED | OPTIONAL).items() if name in table.colnames}
     cells = {"transit_id": np.arange(len(table)), "colour_factor_al": 0.0, NOISE: 0.0}
     read = Columns(table, str(path))
-    try:
+    with refused(ValueError, TypeError, said="cannot be read as epoch astrometry: ", where=path):
         frame = pd.DataFrame(cells | {name: _cells(table[name]) for name in units})
         for name in {"source_id", "transit_id"} & set(table.colnames):
             frame[name] = read.text(name)
@@ -714,8 +714,6 @@ def read_observations(path: Path) -> tuple[Any, list[str]]:
         frame = frame.explode(several).astype(dict.fromkeys(units, np.float64))
         for name, (unit, used, *_) in units.items():
             frame[name] *= Unit(table[name].unit or unit).to(used)
-    except (ValueError, TypeError) as error:
-        raise SweepError(f"cannot be read as epoch astrometry: {error}", str(path)) from error
     frame["used_by_agis_al"] = frame["used_by_agis_al"].isin([1.0, ord("T")])  # the letter in FITS
     frame, known = frame[frame["used_by_agis_al"]], [name for name in units if name not in ("ra0", "dec0")]
 
@@ -795,7 +793,7 @@ def with_observations(
     model, orbit = _models({name: k for name, k in place.items() if k in used}, models, orbits, epoch, notes)
     observed = {str(name): frame[name].to_numpy() for name in frame.select_dtypes("number")}
     transits = Transits(star, observed, model, orbit, origin, epoch, names[rows], stars)
-    try:
+    with refused(LinkError, where=where):
         paths = transits.paths()
         for _ in range(3 if np.any(model != "5") else 0):  # AGIS has no other path, so that its noise is what is left
             each = ((star == s, max(paths.dof[s], 1.0)) for s in range(len(rows)))
@@ -804,8 +802,6 @@ def with_observations(
             transits = replace(transits, observed=observed | {NOISE: np.minimum(observed[NOISE], least)})
             paths = transits.paths()
         doubt = misfit(transits)
-    except LinkError as error:
-        raise SweepError(str(error), where) from error
     logging.root.handlers[:] = handlers  # gaiasupdate logs in such a way that Python adds one, which repeats our lines
     digests = {str(file): digest_of(built_in(Path(file))) for file in files}
     epochs = Epochs(transits, paths, rows, digests, doubt, notes)
