@@ -109,8 +109,7 @@ def write_at_once(path: Path, write: Callable[[Path], Any]) -> None:
     with reading(path, "cannot be written"):
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as folder:
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
+            with warnings.catch_warnings(action="ignore"):
                 write(Path(folder) / path.name)
             (Path(folder) / path.name).replace(path)
 

@@ -325,8 +325,7 @@ def _by_salib(
     method: str, parameters: int, keys: Sequence[str], *data: Array, seed: int, **options: Any
 ) -> list[Array]:
     options |= {"num_resamples": RESAMPLES, "conf_level": ONE_SIGMA, "seed": seed + 1}  # SALib takes 0 for no seed
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # SALib warns that there are no groups
+    with warnings.catch_warnings(action="ignore"):  # SALib warns that there are no groups
         estimated = salib(f"analyze.{method}").analyze(unit_cube(parameters), *data, **options)
     return [np.ma.getdata(estimated[key]).astype(float) for key in keys]
 

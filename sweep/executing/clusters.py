@@ -147,8 +147,7 @@ def client_at(address: str, security: Security | None = None) -> Iterator[Client
                 kind = pool.submit(lambda: asyncio.run(_kind_of_server(address, options))).result()
             if kind in ("Worker", "Nanny"):
                 raise SweepError(f"{address!r} is the address of a Dask {kind.lower()}, not of a scheduler")
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")  # of other versions: `DaskDriver` says it in words
+            with warnings.catch_warnings(action="ignore"):  # of other versions: `DaskDriver` says it in words
                 client = Client(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False, security=security)
         except (OSError, ValueError, TypeError, TimeoutError) as error:
             reason = f": {error}" if str(error) else ""

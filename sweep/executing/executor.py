@@ -324,8 +324,8 @@ class _Child:
             # A signal that arrives before the child has its own handlers would be answered by those of this process.
             before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
             try:
-                with warnings.catch_warnings():
-                    warnings.simplefilter("ignore", DeprecationWarning)  # of threads: see `_may_be_forked`
+                # of threads: see `_may_be_forked`
+                with warnings.catch_warnings(action="ignore", category=DeprecationWarning):
                     self.process.start()
             finally:
                 signal.pthread_sigmask(signal.SIG_SETMASK, before)

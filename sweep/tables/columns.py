@@ -420,8 +420,8 @@ class Columns:
             texts, years = self.text(name), np.full(len(self), np.nan)
             for row in np.flatnonzero(~gaps(column) & ~np.isin(texts, ("", "--", "None", "NaT"))):
                 try:
-                    with warnings.catch_warnings():  # astropy warns of years whose leap seconds are not known
-                        warnings.simplefilter("ignore")
+                    # astropy warns of years whose leap seconds are not known
+                    with warnings.catch_warnings(action="ignore"):
                         years[row] = Time(_YEAR.sub(r"J\g<0>", texts[row]).removesuffix("Z")).jyear
                 except ValueError:
                     said = f"row {row + 1} has {str(texts[row])!r}"
@@ -549,8 +549,7 @@ def _parsed(condition: str) -> ast.expr:
 
     text = _PIECES.sub(in_python, condition).strip()
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of the compiler, about what is refused below
+        with warnings.catch_warnings(action="ignore"):  # of the compiler, about what is refused below
             tree = ast.parse(text, mode="eval").body
     except SyntaxError as error:
         rest = text[error.offset - 1 :] if error.offset else ""  # it has no offset at the end

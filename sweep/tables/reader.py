@@ -83,8 +83,8 @@ def read_table(path: Path, texts: Collection[str] = ()) -> Any:
     """
     try:
         content = path.read_bytes()
-        with warnings.catch_warnings():  # about units and headers that do not matter for the columns that are used
-            warnings.simplefilter("ignore")
+        # about units and headers that do not matter for the columns that are used
+        with warnings.catch_warnings(action="ignore"):
             table = _read(path, content, texts)
             _add_degrees(table)
         return table

@@ -52,8 +52,7 @@ def write(tmp_path):
         table, path = Table(columns), tmp_path / f"four{suffix}"
         for name in set(units) & set(columns):
             table[name].unit = units[name]
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of astropy, about what a format cannot keep
+        with warnings.catch_warnings(action="ignore"):  # of astropy, about what a format cannot keep
             table.write(path, format=FORMATS[suffix], overwrite=True)
         return table_file(path)
 

@@ -260,8 +260,7 @@ def test_what_a_point_changes_is_put_back_for_the_others(options, here):
         generators = random.getstate(), np.random.get_state()[1].tolist()  # noqa: NPY002
         return os.getcwd(), dict(os.environ), sys.stderr, generators if options.get("pool") != "threads" else ()
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with warnings.catch_warnings(action="ignore"):
         before, expected = outside(), f(0.0)
         ds = run(f, "s.zarr", axes={"x": [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]}, **options)
     assert ds.f.values.tolist() == [expected, "changed", expected, expected, "changed", expected]
