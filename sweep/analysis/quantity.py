@@ -413,10 +413,7 @@ def select(dataset: xr.Dataset, places: Mapping[str, Any]) -> xr.Dataset:
     Where several points have the values, as rows of a table may, all of them are returned and keep their dimension.
     A value may be a text, as on a command line.  Raises SweepError like `indices`.
     """
-    part: dict[str, Any] = {}
-    for dimension, hits in indices(dataset, places).items():
-        part[dimension] = hits[0] if len(hits) == 1 else hits
-    return dataset.isel(part)
+    return dataset.isel({d: hits[0] if len(hits) == 1 else hits for d, hits in indices(dataset, places).items()})
 
 
 def point_at(store: Where, study: Study, places: Mapping[str, str]) -> GridPoint:

@@ -118,6 +118,9 @@ def test_each_component_and_a_bad_condition_are_shown_in_80_columns():
     warned = "at 1 point the condition number is up to 2e+03"
     assert (warned in text, warned in text_of(masers.assign(condition_number=("n_obj", [3.0])))) == (True, False)
     assert "omega_x" not in text_of(masers.drop_vars(["sigma_mc_error"]))
+    alone = masers.isel(component=0).assign({n: (("n_obj", "axis"), [sigma]) for n in ("glide", "glide_mc_error")})
+    text = text_of(alone.assign_coords(axis=["x", "y", "z"]))  # whose correlations nobody knows
+    assert ("glide, n_obj=12: condition number" in text, "correlation" in text) == (True, False)
 
 
 def test_a_range_without_points_names_the_ends_of_an_axis_that_has_no_effect_somewhere():
