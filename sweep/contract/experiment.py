@@ -895,7 +895,8 @@ class Experiment:
                 flat = [array.reshape(len(points), n_sim, -1) for array in realisations.values()]
                 samples.append(np.concatenate(flat, axis=2))
         whole = np.concatenate(samples, axis=1) if samples else len(points) * [None]
-        return [Outcome(row, result) for row, result in zip(self.as_rows(total), whole, strict=True)]
+        rows = total.view(self.reducer.dtype).reshape(-1)
+        return [Outcome(row, result) for row, result in zip(rows, whole, strict=True)]
 
     def compute_catalogues(
         self, points: Sequence[Point], n_sim: int, pairs: Sequence[GeneratorPair], counts: Sequence[int]
@@ -913,12 +914,8 @@ class Experiment:
             total = np.zeros(flat.shape[1:])
             for _ in range(catalogues):
                 total += next(drawn)  # in the order in which `compute` adds them
-            outcomes += map(Outcome, self.as_rows(total))
+            outcomes += map(Outcome, total.view(self.reducer.dtype).reshape(-1))
         return outcomes
-
-    def as_rows(self, flat: Array) -> Rows:
-        """Return sums, (points, width), as rows of `reducer`."""
-        return flat.view(self.reducer.dtype).reshape(len(flat))
 
     def learned(self, outcomes: Mapping[int, Outcome]) -> "tuple[Experiment, dict[int, Any], dict[int, str]]":
         """Return the experiment as it is known from results too, the fields of the rows of its reducer, and why some of
