@@ -286,17 +286,18 @@ def _deficit(problem: Problem, groups: Sequence[_Group]) -> str:
     """
     causes: dict[float, Cause] = {}  # the same errors may have several names
     levels: dict[Any, dict[str, float]] = {}  # and so may the same rows
-    for (factor, unit), group in product(LARGER.items(), groups):
+    for group in groups:
         names = {group.words.removeprefix("the ").partition(" of ")[0]: group.rows} | WITH_ERRORS
         wholes = [part for part in _wholes(problem) if part.table in ("satellite", group.part.table)]
-        for (name, rows), part in product(names.items(), (group.part, *wholes[::-1])):
+        for (factor, unit, name, rows), part in product(_in_units(LARGER, names), (group.part, *wholes[::-1])):
             change = factor, rows, part.table, part.at.tobytes()
             level = levels[change] if change in levels else _levels(problem, part, _scaled(rows, factor, errors=True))
             levels[change] = level
             if level and 0.1 < level[group.words] < EXCESS:
                 ratio = max(level[group.words], level[""], key=lambda one: abs(np.log(one)))
-                cause = Cause(f"errors of {name} of {part.words} too large, {unit}", ratio, HIDES_ALL)
-                causes.setdefault(round(ratio, 9), cause)
+                if ratio > DEFICIT and np.log(ratio) < -0.25 * np.log(group.squares / group.expected):
+                    cause = Cause(f"errors of {name} of {part.words} too large, {unit}", ratio, HIDES_ALL)
+                    causes.setdefault(round(ratio, 9), cause)
     return likely(list(causes.values()), _alike_within(problem)) if causes else ""
 
 
@@ -408,15 +409,20 @@ def _corrections(problem: Problem, table: str) -> Iterator[tuple[str, int, Chang
     if table != "satellite":
         mean = "mean positions of {} taken as those of a single epoch, or the other way round"
         yield mean, 0, _changed(["apparent"], np.logical_not)
-    for ratio, unit in (SMALLER | LARGER).items():
-        for name, rows in NOT_POSITIONS.items():
-            yield f"{name} of {{}}, {unit}", 0, _scaled(rows, ratio, values=True)
-            yield f"{name} and their errors of {{}}, {unit}", 0, _scaled(rows, ratio, values=True, errors=True)
+    for ratio, unit, name, rows in _in_units(SMALLER | LARGER, NOT_POSITIONS):
+        yield f"{name} of {{}}, {unit}", 0, _scaled(rows, ratio, values=True)
+        yield f"{name} and their errors of {{}}, {unit}", 0, _scaled(rows, ratio, values=True, errors=True)
     if table == "satellite" and problem.satellite.further is not None:
         yield from _accelerations()
-    for ratio, unit in SMALLER.items():
-        for name, rows in WITH_ERRORS.items() if ratio > 15.0 else ():
-            yield f"errors of {name} of {{}} too small, {unit}", HIDES_ALL, _scaled(rows, ratio, errors=True)
+    for ratio, unit, name, rows in _in_units(SMALLER, WITH_ERRORS):
+        yield f"errors of {name} of {{}} too small, {unit}", HIDES_ALL, _scaled(rows, ratio, errors=True)
+
+
+def _in_units(factors: dict[float, str], quantities: dict[str, Rows]) -> Iterator[tuple[float, str, str, Rows]]:
+    """Yield each factor with its unit, and each quantity: units of time only for one along right ascension."""
+    for (factor, unit), (name, rows) in product(factors.items(), quantities.items()):
+        if "time" not in unit or rows in ((0,), (3,)):
+            yield factor, unit, name, rows
 
 
 def _changed(names: Sequence[str], change: Callable[[Any], Any]) -> Change:

@@ -474,7 +474,7 @@ def link_section(store: str, result: Result, number: int) -> dict[str, Any]:
     """Return what the template shows of a link, a forecast or anything derived, the ``number``-th of a page."""
     first, *others = result.tables()
     about = [line for line in first.title.splitlines() if line and line != result.title]
-    notes = [note[:1].upper() + note[1:] for note in (note.removeprefix("note: ") for note in result.notes())]
+    notes = [note.removeprefix("note: ") for note in result.notes()]
     return {
         "store": store,
         "title": result.title,

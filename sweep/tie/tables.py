@@ -61,8 +61,8 @@ ROUNDED = 0.01
 # Errors after a mistake in their unit is corrected, mas or mas/yr.
 TYPICAL = (0.005, 300.0)
 
-# No array of telescopes has errors that differ by more between the coordinates.
-UNEQUAL = 100.0
+# No telescope has errors that differ by more between the coordinates, nor, in a year, between motions and positions.
+UNEQUAL = {(0, 1): 100.0, (3, 4): 100.0, (3, 0): 500.0, (4, 1): 500.0}
 
 # Errors of the positions of calibrators, mas.
 CALIBRATORS = (0.005, 50.0)
@@ -381,11 +381,11 @@ def _note_unlikely(read: Columns, names: Sequence[str], values: Array, errors: A
 
 
 def _note_unequal(read: Columns, errors: Array) -> None:
-    """Note errors of the two coordinates, or of their motions, of which one is likely to be in another unit."""
-    for one, other in ((0, 1), (3, 4)):
+    """Note errors of two coordinates, or of a motion and its position, of which one is likely in another unit."""
+    for (one, other), most in UNEQUAL.items():
         both = errors[[one, other]]
         both = both[:, ((both > 0.0) & (both < np.inf)).all(axis=0)]
-        if both.size and not 1.0 / UNEQUAL < (ratio := np.divide(*np.median(both, axis=1))) < UNEQUAL:
+        if both.size and not 1.0 / most < (ratio := np.divide(*np.median(both, axis=1))) < most:
             names = f"{PARAMETERS[one]} are {ratio:.3g} times those of {PARAMETERS[other]}"
             read.notes.append(f"errors of {names}: is one of them in another unit?")
 

@@ -112,7 +112,7 @@ MISTAKES = {
     "position errors in deg": ("satellite", scaled(POSITIONS, 1.0 / 3.6e6), "deg taken for mas"),
     "errors of ra in seconds": ("reference", scaled(["ra_error"], 1.0 / 1.5e4), "errors of ra.*(seconds of t|no inst)"),
     "errors in mas declared as deg": ("reference", DECLARED, "mas taken for deg"),
-    "parallax errors in s": ("satellite", scaled(ERRORS[2:3], 1.5e4), "parallaxes of the sat.* too large, .* seconds"),
+    "motion errors in uas": ("satellite", scaled(ERRORS[3:], 1e3), "of pmra are .* those of ra: is one .* in another"),
     "one parallax missing": ("satellite", {"parallax": one_missing}, r"without \d+ it is .*; no known mistake"),
     "no correlations": ("satellite", lambda table, rng: table.remove_columns(CORRELATIONS), "no correlations"),
     "errors that are NaN": ("reference", errors_nan, "rows have no error of ra, dec"),
