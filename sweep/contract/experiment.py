@@ -395,6 +395,8 @@ class Parameter:
 
     def _plain(self, raw: object) -> Value:
         kind, known = self.kind, self._known()
+        if kind != "file" and isinstance(raw, str) and raw != raw.encode(errors="ignore").decode():
+            raise ValueError(f"{self.name} = {raw!a} has a lone surrogate: no file can hold it")
         if kind == "str" and isinstance(raw, str) and (not self.choices or raw in known):
             return next((named for named in self.defined if named.name == raw), raw)
         is_plain = isinstance(raw, int | float | str)

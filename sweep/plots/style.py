@@ -287,7 +287,8 @@ def value_text(dataset: xr.Dataset, axis: str, value: Any) -> str:
     """Return a value of an axis as a legend names it."""
     if dataset[axis].dtype.kind == "M":
         return str(value).replace("T", " ")
-    if isinstance(value, str) and value.lower() not in ("", "none") and not _NUMBER.fullmatch(value):
+    hidden = str(value).startswith("_")  # alone it would be missing in the legend
+    if isinstance(value, str) and value.lower() not in ("", "none") and not (hidden or _NUMBER.fullmatch(value)):
         symbols = json.loads(dataset[axis].attrs.get("symbols", "{}"))
         is_name = f"{axis}_unit" in dataset.coords or ("_" in value and _NAME.fullmatch(value))
         return symbols.get(value.replace(r"\$", "$")) or (component_symbol(value) if is_name else value)

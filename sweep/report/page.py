@@ -376,8 +376,9 @@ def _people(authors: Sequence[Mapping[str, str]]) -> str:
 
 
 def template(name: str) -> Template:
-    """Return a template of pages, in which every text is escaped."""
+    """Return a template of pages, in which every text is escaped, also what would change the order of text."""
     options: dict[str, Any] = {"autoescape": True, "trim_blocks": True, "lstrip_blocks": True}
+    options["finalize"] = lambda value: formatting.harmless(value) if type(value) is str else value
     environment = Environment(loader=PackageLoader("linksweep.sweep.report"), **options)
     environment.filters["micro"] = formatting.with_micro_signs
     return environment.get_template(name)

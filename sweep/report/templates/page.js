@@ -68,11 +68,13 @@
     link.click();
     if (content instanceof Blob) setTimeout(() => URL.revokeObjectURL(link.href), 1000);
   };
-  const quoted = (text) => (/[",\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text);
+  // A quote stands before what a spreadsheet would compute.
+  const inert = (text) => (/^\s*[=+\-@＝＋－＠]/.test(text) && isNaN(text) ? `'${text}` : text);
+  const quoted = (text) => (/[",\r\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text);
   const csv = (table) => {
     const heads = [...table.tHead.rows[0].cells].map((cell) => cell.textContent);
     const rows = [...table.tBodies[0].rows].filter((row) => !row.hidden).map((row) => [...row.cells].map((cell) => cell.dataset.value ?? cell.textContent));
-    return [heads, ...rows].map((row) => row.map(quoted).join(",")).join("\n") + "\n";
+    return [heads, ...rows].map((row) => row.map(inert).map(quoted).join(",")).join("\n") + "\n";
   };
   // A picture to save: in light colours, and independent of the page.
   const alone = (svg) => {

@@ -39,9 +39,10 @@ axes = {{ x = [1.0, 2.0, 3.0], kind = {json.dumps(KINDS)} }}
 """
 LOOKS = [  # at a store s.zarr and its study
     *(["show", "s.zarr", "--format", form] for form in ("text", "csv", "ecsv")),
-    *(["status", "s.zarr"], ["check", "s.zarr"], ["compare", "s.zarr"], ["fit", "s.zarr", "--over", "x"]),
-    *(["plot", "s.zarr", "-o", "z\n.png"], ["sensitivity", "s.zarr"], ["report", "s.zarr"]),
-    *(["plan", "study.toml"], ["params", "study.toml"], ["merge", "s.zarr", "s.zarr", "-o", "m.zarr"]),
+    ["fit", "s.zarr", "--over", "x"],
+    *([look, "s.zarr"] for look in ("status", "check", "compare", "sensitivity", "report")),
+    *(["plot", "s.zarr", "-o", "z\n.png"], ["run", "marked.py:marked", "--axis", "kind=\udcc3,b", "-o", "u.zarr"]),
+    *(["plan", "study.toml"], ["params", "study.toml"], ["merge", *["s.zarr"] * 2, "-o", "m.zarr"]),
     *(["reproduce", "s.zarr", "--at", "x=1,kind=@b"], ["run", "--retry", "s.zarr"], ["show", "no" + MARK]),
     *(["show", "s.zarr", "--json"], ["status", "s.zarr", "--json"], ["find", "s.zarr", "--where", "number > 1.5"]),
 ]
