@@ -721,8 +721,8 @@ def _is_act(statement: ast.stmt, names: Names) -> bool:
     """
     _, definitions, changed, calls = _at_import(statement)
     if names.get("__name__") == "__main__":
-        roots = [one for target in changed for one in ast.walk(target) if isinstance(one, ast.Name)]
-        changed, calls = [one for one in roots if isinstance(names.get(one.id), ModuleType)], False
+        roots = {one: re.match(r"\w*(?=[.[])", unparsed(one)) for one in changed}  # functions of modules are no methods
+        changed, calls = [one for one, at in roots.items() if at and isinstance(names.get(at[0]), ModuleType)], False
     return bool(changed or calls) or any(_is_registered(one, names) for one in definitions)
 
 
