@@ -197,17 +197,18 @@ def _conditions(text: str, texts: Collection[str]) -> dict[str, Any]:
 
 
 def parse_value(text: str, is_text: bool = False) -> Any:
-    """Return a value as TOML would read it, or the text itself where it is a bare word, or is to be one.
+    """Return a value as TOML would read it, True and False as in Python too, or the text itself where it is another bare
+    word, or is to be one.
 
-    >>> parse_value("1e3"), parse_value("[1, 2]"), parse_value("true"), parse_value("gaia")
-    (1000.0, [1, 2], True, 'gaia')
+    >>> parse_value("1e3"), parse_value("[1, 2]"), parse_value("true"), parse_value("False"), parse_value("gaia")
+    (1000.0, [1, 2], True, False, 'gaia')
     >>> parse_value("1e3", is_text=True), parse_value("'1e3'", is_text=True)
     ('1e3', '1e3')
     """
     try:
         document = tomllib.loads(f"value = {text}")
     except (ValueError, RecursionError):
-        return text  # a bare word is a string
+        return text if is_text else {"True": True, "False": False}.get(text, text)  # a bare word is a string
     value = document["value"] if len(document) == 1 else text
     return text if is_text and not isinstance(value, str) else value
 

@@ -132,16 +132,16 @@ def test_objects_and_numbers_that_cannot_be_told_apart_are_refused(axes, said, t
 
 
 def test_what_may_be_none_can_be_none(tmp_path, sweep):
-    text = "def f(a: Optional[float] = None, b: int | None = 3, name: str = 'x', s: str | None = None):\n"
-    text = f"from typing import Optional\n{text}    return {{'text': f'{{a}} {{b}} {{name}} {{s!r}}'}}\n"
+    text = "def f(a: Optional[float] = None, b: int | None = 3, name: str = 'x', s: str | None = None, c=None):\n"
+    text = f"from typing import Optional\n{text}    return {{'text': f'{{a}} {{b}} {{name}} {{s!r}} {{c!r}}'}}\n"
     (tmp_path / "m.py").write_text(text)
     for more in ((), ("--set", "s=None"), ("--axis", "s=None,abc")):
-        asked = ("--axis", "a=None,1", "--axis", "b=None,3", "--axis", "name=1e3,true", *more)
+        asked = ("--axis", "a=None,1", "--axis", "b=None,3", "--axis", "name=1e3,True", "--set", "c=False", *more)
         sweep("run", "m.py:f", *asked, "-o", "s.zarr", "-q", cwd=tmp_path, code=0)
     text = linksweep.open(tmp_path / "s.zarr").text.sel(b="None", name="1e3")
-    assert text.sel(s="None").values.tolist() == ["None None 1e3 None", "1.0 None 1e3 None"]
-    assert text.sel(s="abc").values.tolist() == ["None None 1e3 'abc'", "1.0 None 1e3 'abc'"]
-    assert sweep("reproduce", "s.zarr", "--at", "a=None,b=3,name=true,s=None", cwd=tmp_path)[0] == 0
+    assert text.sel(s="None").values.tolist() == ["None None 1e3 None False", "1.0 None 1e3 None False"]
+    assert text.sel(s="abc").values.tolist() == ["None None 1e3 'abc' False", "1.0 None 1e3 'abc' False"]
+    assert sweep("reproduce", "s.zarr", "--at", "a=None,b=3,name=True,s=None", cwd=tmp_path)[0] == 0
 
 
 def test_infinity_and_nan_are_values_of_functions_and_large_defaults_are_left_as_they_are(tmp_path, sweep):
