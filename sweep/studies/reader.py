@@ -197,7 +197,7 @@ def _conditions(text: str, texts: Collection[str]) -> dict[str, Any]:
 
 
 def parse_value(text: str, is_text: bool = False) -> Any:
-    """Return a value as TOML would read it, True and False as in Python too, or the text itself where it is another bare
+    """Return a value as TOML would read it, also Python's True and False, or the text itself where it is another bare
     word, or is to be one.
 
     >>> parse_value("1e3"), parse_value("[1, 2]"), parse_value("true"), parse_value("False"), parse_value("gaia")
