@@ -295,7 +295,8 @@ def _deficit(problem: Problem, groups: Sequence[_Group]) -> str:
             levels[change] = level
             if level and 0.1 < level[group.words] < EXCESS:
                 ratio = max(level[group.words], level[""], key=lambda one: abs(np.log(one)))
-                if ratio > DEFICIT and np.log(ratio) < -0.25 * np.log(group.squares / group.expected):
+                # a unit brings chi2 at least four times nearer to 1, in the logarithm; errors may just be too large
+                if ratio > DEFICIT and 4.0 * np.log(ratio) < np.log(group.expected / group.squares):
                     cause = Cause(f"errors of {name} of {part.words} too large, {unit}", ratio, HIDES_ALL)
                     causes.setdefault(round(ratio, 9), cause)
     return likely(list(causes.values()), _alike_within(problem)) if causes else ""

@@ -573,7 +573,7 @@ def forecast(satellite: str | Path, reference: str | Path, unknowns: str | None 
         add = [DECLARED["epoch"].parse(number(year)) for year in listed(plan.add)]
     if plan.number and not add:
         raise SweepError(f"{plan.number} sources to choose, but no epochs to observe them at")
-    if plan.from_release != TABLE == plan.release:
+    if plan.release == TABLE and plan.from_release != TABLE:
         raise SweepError(f"from_release {plan.from_release}, but no release to scale errors to")
     if ESTIMATE in asked.jitter:
         raise SweepError("a forecast uses no measured values: sweep tie --jitter estimate says how large a jitter is")
