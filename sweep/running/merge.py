@@ -21,7 +21,7 @@ from linksweep.sweep.formatting import host, now
 from linksweep.sweep.functions.adapter import layout_of_record
 from linksweep.sweep.functions.results import Layout, joined, layout_refusals
 from linksweep.sweep.planning.accumulator import Accumulator
-from linksweep.sweep.planning.grid import Grid, describe
+from linksweep.sweep.planning.grid import Grid, describe, make_grid
 from linksweep.sweep.planning.plan import Plan, lost_parts
 from linksweep.sweep.planning.union import united
 from linksweep.sweep.running import run
@@ -86,7 +86,7 @@ def merge(places: Sequence[Where], into: Where, *, accept_code: bool = False, tr
     origin = {MERGED: json.dumps(about)}
     require_free(place, study, about)
     _require_same_bits(sources, experiment.reducer.dtype)
-    plan = Plan(Grid(study))
+    plan = Plan(make_grid(study) if part else Grid(study))  # the warnings of one run
     with locked(place):
         existing = run.find_store(place, study) or create_store(place, run.attributes_of(plan) | origin)
         store = run.open_store(existing, study, writes=True)

@@ -37,7 +37,7 @@ def require_same(*stores):
     one, other = (xr.open_zarr(store, mask_and_scale=False).load() for store in stores)
     same(one, other)
     assert json.loads(one.attrs["failures"]) == json.loads(other.attrs["failures"])
-    assert one.attrs["complete"] == other.attrs["complete"]
+    assert [one.attrs[key] == other.attrs[key] for key in ("complete", "warnings")] == [True, True]
 
 
 def run_parts(study, store, numbers, total, **more):
@@ -51,6 +51,7 @@ def some(values, most):
 
 
 LINK = {"experiment": "linksweep.core.experiment:link", "axes": {"model": ["amex", "gaia"], "n_obj": [20, 30]}}
+LINK["exclude"] = [{"n_obj": 25}]  # of which a warning says that no point has it
 FLOATS = st.floats(-8.0, 8.0, width=16).map(lambda x: x + 0.0)
 NUMBERS = {"n_sim": st.integers(2, 1700), "seed": st.integers(0, 99)}
 SAMPLES = {"n_sim": st.integers(1, 30), "n_cat": st.integers(1, 20)}
