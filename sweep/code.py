@@ -425,7 +425,7 @@ class Reach:
             self.places[f"function {label}"] = f"{code.co_filename}, line {nodes[0].lineno}"
             if (name := function.__name__) not in MAKING_CLASSES:
                 imported = [one.name for node in nodes for one in ast.walk(node) if isinstance(one, ast.alias)]
-                others = {*_names_in(nodes, code), *code.co_freevars, *imported}
+                others = {*_names_in((*nodes,), code), *code.co_freevars, *imported}
                 changes = [one for node in nodes for one in _changes(node, others, name in MAKING)]
                 called = f"{function.__qualname__.split('.')[-2:][0]}()" if name in MAKING else name
                 self._changes.append((called, {home_of(one, names, names.get(one))[0] for one in changes}))
@@ -472,17 +472,18 @@ class Reach:
         texts = [*map(unparsed, nodes)]
         code = function.__code__ if function else None
         scope, text = ChainMap(bound, dict(names)), "".join(texts)
-        wanted = {*bound, *_names_in(nodes, code)}
+        wanted = {*bound, *_names_in((*nodes,), code)}
         # what names in defaults and annotations stand for: what code changes of a default is left out of its value
         heads = [getattr(one, "args", one) for one in nodes] if function else []
         wanted |= {one.id for head in heads for one in ast.walk(head) if isinstance(one, ast.Name)}
         # _C__k, which is __k in the class C
         private = {name for name in wanted | _all_names(code) if re.match("_[^_].*__", name)}
+        wanted |= private
         for whole in sorted(private.union(*map(_chains, nodes))):
             name, *path = whole.split(".")
             if function and whole in BY_NAME and names.get("__name__") in sys.modules:
                 self._follow(self._whole, sys.modules[names["__name__"]])
-            if name not in scope or name not in wanted | private:
+            if name not in scope or name not in wanted:
                 continue
             value, home = scope[name], names
             with suppress(Exception):  # raised again by the function where it is called
@@ -637,7 +638,8 @@ def _inside(code: CodeType) -> Iterator[CodeType]:
             yield from _inside(constant)
 
 
-def _names_in(nodes: Sequence[ast.AST], code: CodeType | None) -> set[str]:
+@lru_cache(maxsize=4096)
+def _names_in(nodes: tuple[ast.AST, ...], code: CodeType | None) -> frozenset[str]:
     """Return the names that statements of a module look up in it, or functions of which this is the compiled code; what
     a class looks up it may have bound itself.
     """
@@ -653,7 +655,7 @@ def _names_in(nodes: Sequence[ast.AST], code: CodeType | None) -> set[str]:
     for table in tables:  # which grows meanwhile
         names |= {one.get_name() for one in table.get_symbols() if one.is_global()}
         tables += table.get_children()
-    return names
+    return frozenset(names)
 
 
 def _all_names(code: CodeType | None) -> set[str]:
@@ -721,8 +723,9 @@ def _is_act(statement: ast.stmt, names: Names) -> bool:
     """
     _, definitions, changed, calls = _at_import(statement)
     if names.get("__name__") == "__main__":
-        roots = {one: re.match(r"\w*(?=[.[])", unparsed(one)) for one in changed}  # functions of modules are no methods
-        changed, calls = [one for one, at in roots.items() if at and isinstance(names.get(at[0]), ModuleType)], False
+        inside = [one for one in changed if not isinstance(one, ast.Name)]  # functions of modules are no methods
+        roots = [unparsed(one).replace("[", ".").partition(".")[0] for one in inside]
+        changed, calls = [], any(isinstance(names.get(root), ModuleType) for root in roots)
     return bool(changed or calls) or any(_is_registered(one, names) for one in definitions)
 
 

@@ -287,12 +287,12 @@ def value_text(dataset: xr.Dataset, axis: str, value: Any) -> str:
     """Return a value of an axis as a legend names it."""
     if dataset[axis].dtype.kind == "M":
         return str(value).replace("T", " ")
+    value = formatting.harmless(value) if isinstance(value, str) else value
     hidden = str(value).startswith("_")  # alone it would be missing in the legend
     if isinstance(value, str) and value.lower() not in ("", "none") and not (hidden or _NUMBER.fullmatch(value)):
         symbols = json.loads(dataset[axis].attrs.get("symbols", "{}"))
         is_name = f"{axis}_unit" in dataset.coords or ("_" in value and _NAME.fullmatch(value))
-        text = component_symbol(value) if is_name else formatting.harmless(value)
-        return symbols.get(value.replace(r"\$", "$")) or text
+        return symbols.get(value.replace(r"\$", "$")) or (component_symbol(value) if is_name else value)
     if formatting.is_truth(dataset[axis]) and value == value:  # noqa: PLR0124
         return f"{symbol(axis, dataset[axis].attrs)}: {SWITCH[bool(value)]}"
     if value in ("", "none", "None") or value != value:  # noqa: PLR0124 (missing: the parameter has no effect there)
