@@ -17,8 +17,7 @@ from linksweep.sweep.contract import FEW, FEWEST_SAMPLES, Array, Status, SweepEr
 from linksweep.sweep.contract.rows import LENGTH, count_status, small_sample_factor, unfinished_in_words
 from linksweep.sweep.formatting import ERRORS, RAGGED, first_of, is_missing, is_truth, meant, plain, prefixed, units_of
 from linksweep.sweep.planning.grid import Grid, GridPoint
-from linksweep.sweep.stores.location import Where
-from linksweep.sweep.stores.store import RUNNING, finished, open_dataset
+from linksweep.sweep.stores.store import RUNNING, finished
 from linksweep.sweep.studies.points import labelled, read_cell
 from linksweep.sweep.studies.record import FUNCTION, outer_draw_of
 from linksweep.sweep.studies.study import LOST, POINT, POINT_TABLE, Claim, Study
@@ -416,26 +415,26 @@ def select(dataset: xr.Dataset, places: Mapping[str, Any]) -> xr.Dataset:
     return dataset.isel({d: hits[0] if len(hits) == 1 else hits for d, hits in indices(dataset, places).items()})
 
 
-def point_at(store: Where, study: Study, places: Mapping[str, str]) -> GridPoint:
-    """Return the point of the study of a store at values of axes, as `select` takes them; raises SweepError unless that
-    is one point, which several rows of a table may be.
+def point_in(dataset: xr.Dataset, study: Study, places: Mapping[str, str], where: str) -> GridPoint:
+    """Return the point of the study of a store with a dataset at values of axes, as `select` takes them; raises
+    SweepError that names ``where`` that is, unless it is one point, which several rows of a table may be.
     """
-    grid, dataset = Grid(study), open_dataset(store)
+    grid = Grid(study)
     number = np.arange(len(grid)).reshape(grid.shape)
     try:
         part = select(dataset[["status"]].assign(number=(tuple(grid.dimensions), number)), places)
     except OutsideGridError as error:
-        raise SweepError(error.problems, str(store)) from error
+        raise SweepError(error.problems, where) from error
     dimensions = part["number"].dims
     there = part["status"].transpose(*dimensions).values != Status.EXCLUDED
     points = {point.digest: point for point in grid.points(part["number"].values[there])}
     if not points:
-        raise SweepError(f"{', '.join(f'{n} = {v}' for n, v in places.items())}: has no point there", str(store))
+        raise SweepError(f"{', '.join(f'{n} = {v}' for n, v in places.items())}: has no point there", where)
     if len(points) > 1:
         several = [str(d) for d, along in zip(dimensions, there.nonzero(), strict=True) if len({*along}) > 1]
         values = {name: dict.fromkeys(text or "none" for text in plain(listed(part, name, [name]))) for name in several}
         choices = {name: first_of([*texts], FEW) for name, texts in values.items()}
-        raise SweepError([f"--at: {name} needs a value, one of {some}" for name, some in choices.items()], str(store))
+        raise SweepError([f"--at: {name} needs a value, one of {some}" for name, some in choices.items()], where)
     return points.popitem()[1]
 
 

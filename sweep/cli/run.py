@@ -512,8 +512,9 @@ def reproduce(
     sweep reproduce results/quasars.zarr --at model=gaia,v_max=16
     sweep reproduce results/quasars.zarr --points 20
     """
-    from linksweep.sweep.analysis.quantity import point_at
+    from linksweep.sweep.analysis.quantity import point_in
     from linksweep.sweep.running import reproduce as computing
+    from linksweep.sweep.stores.store import OpenStore
     from linksweep.sweep.studies.reader import parse_places
 
     if at is None:
@@ -521,9 +522,10 @@ def reproduce(
             raise click.UsageError(f"{'--pdb' if debug else '--json'} is for one point; name it with --at")
         sys.exit(cli.EXIT_FAILED_POINTS if print_verified(computing.study_of(store, trust=trust), store, points) else 0)
     try:
-        study = computing.study_of(store, trust=trust)
-        point = point_at(store, study, parse_places([at] if at.strip() else []))
-        again = computing.reproduce(store, study, point)
+        opened = OpenStore(store)
+        study, dataset = computing.study_of(opened, trust=trust), opened.dataset()
+        point = point_in(dataset, study, parse_places([at] if at.strip() else []), str(store))
+        again = computing.reproduce(study, dataset, point)
     except linksweep.SweepError:
         raise
     except Exception as error:

@@ -147,7 +147,7 @@ def _sources(places: Sequence[Where], trust: bool) -> list[_Source]:
         # A thousand parts of a study have one study, which may be large.
         meant = tuple(attributes.get(key) for key in ("study_document", "study_meaning", RECORD))
         if meant not in studies:
-            studies[meant] = _study_in(location, attributes, trust)
+            studies[meant] = _study_in(opened, trust)
         study, layout = studies[meant]
         part = Part.recorded(attributes)
         kept = {key: attributes[key] for key in (*KEPT, *_COMPARED, STORE, LEDGER_THEN) if key in attributes}
@@ -160,12 +160,13 @@ def _sources(places: Sequence[Where], trust: bool) -> list[_Source]:
     return sorted(sources, key=lambda one: (one.study.part or Part(0, 0), -len(one.study.experiment.parameters)))
 
 
-def _study_in(location: Location, attributes: Mapping[str, Any], trust: bool) -> tuple[Study, Layout | None]:
+def _study_in(opened: OpenStore, trust: bool) -> tuple[Study, Layout | None]:
+    attributes = opened.attributes
     record = json.loads(attributes.get(RECORD, "{}"))
     layout = layout_of_record(record)
     if "function" in record:
-        return recorded_study(attributes, str(location), whole=PART in attributes and layout is not None), layout
-    return study_of(location, trust=trust), layout
+        return recorded_study(attributes, str(opened.location), whole=PART in attributes and layout is not None), layout
+    return study_of(opened, trust=trust), layout
 
 
 def _require_alike(sources: Sequence[_Source], accept_code: bool) -> None:

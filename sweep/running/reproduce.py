@@ -43,6 +43,10 @@ STORED = (
 )
 
 
+Pairs = dict[str, tuple[Any, Any]]
+"""Of some variables the values of a point, and those when it is computed again."""
+
+
 @dataclass(frozen=True)
 class Reproduction:
     """One point computed again: its results, and the variables that differ from those in the store in any bit.
@@ -54,42 +58,8 @@ class Reproduction:
     place: str
     dataset: xr.Dataset
     stored: str
-    differences: dict[str, tuple[Any, Any]] | None
+    differences: Pairs | None
     other_code: list[str]
-
-
-def study_of(where: Where | OpenStore, *, trust: bool = False) -> Study:
-    """Return the study whose results a store holds, with its experiment imported.
-
-    Looking at a store loads nothing that it names (see `sweep.studies.record.Recorded`); computing from it does.
-    Raises SweepError if there is no study or it cannot be made again, and where its code needs the user's ``trust``: it
-    lies inside the store, or the store was not written here.
-    """
-    store = where if isinstance(where, OpenStore) else OpenStore(where)
-
-    def check(reference: str) -> None:
-        if not trust and reference != DEFAULT_EXPERIMENT:
-            file = file_of(reference)
-            place = store.location.path.resolve() if isinstance(store.location, Folder) else None
-            inside = place is not None and Path(file).resolve().is_relative_to(place)
-            if inside or not was_written_here(store.location, store.attributes):
-                here = "and the store was not written here: by this user, on this host, at this place"
-                reason = "which lies inside the store" if inside else here
-                problem = f"would run {file}, {reason}; inspect it, and give --trust if it may run"
-                raise SweepError(problem, str(store.location))
-
-    return study_of_attributes(store.attributes, str(store.location), Code(check))
-
-
-def study_to_look_at(store: Where) -> Study:
-    """Return the study of a store of the link, to draw what it simulates; nothing that the store names is imported.
-
-    Raises SweepError for another experiment, and where the study names functions in files.
-    """
-    attributes = OpenStore(store).attributes
-    if attributes["experiment"] != DEFAULT_EXPERIMENT:
-        raise SweepError("no sky and no accuracy here: only studies of the link have these figures", str(store))
-    return study_of_attributes(attributes, str(store), Recorded(load_experiment(DEFAULT_EXPERIMENT)))
 
 
 @dataclass(frozen=True)
@@ -103,32 +73,58 @@ class Verified:
     other_code: list[str]
 
 
-def reproduce(store: Where, study: Study, point: GridPoint) -> Reproduction:
-    """Compute a point of the study of a store again, serially, in this process; raises what the experiment raises."""
-    opened = OpenStore(store)
+def study_of(where: Where | OpenStore, *, trust: bool = False) -> Study:
+    """Return the study whose results a store holds, with its experiment imported.
 
-    def raising(task: Task) -> TaskResult:  # nothing is caught or captured, for the debugger
-        result: TaskResult = compute(replace(task, caught=False, repeatable=False))
-        return result
+    Looking at a store loads nothing that it names (see `sweep.studies.record.Recorded`); computing from it does.
+    Raises SweepError if there is no study or it cannot be made again, and where its code needs the user's ``trust``: it
+    lies inside the store, or the store was not written here.
+    """
+    opened = where if isinstance(where, OpenStore) else OpenStore(where)
+
+    def check(reference: str) -> None:
+        if trust or reference == DEFAULT_EXPERIMENT:
+            return
+        file, reason = file_of(reference), ""
+        if not was_written_here(opened.location, opened.attributes):
+            reason = "and the store was not written here: by this user, on this host, at this place"
+        if isinstance(place := opened.location, Folder) and Path(file).resolve().is_relative_to(place.path.resolve()):
+            reason = "which lies inside the store"
+        if reason:
+            problem = f"would run {file}, {reason}; inspect it, and give --trust if it may run"
+            raise SweepError(problem, str(place))
+
+    return study_of_attributes(opened.attributes, str(opened.location), Code(check))
+
+
+def study_to_look_at(store: Where) -> Study:
+    """Return the study of a store of the link, to draw what it simulates; nothing that the store names is imported.
+
+    Raises SweepError for another experiment, and where the study names functions in files.
+    """
+    attributes = OpenStore(store).attributes
+    if attributes["experiment"] != DEFAULT_EXPERIMENT:
+        raise SweepError("no sky and no accuracy here: only studies of the link have these figures", str(store))
+    return study_of_attributes(attributes, str(store), Recorded(load_experiment(DEFAULT_EXPERIMENT)))
+
+
+def reproduce(study: Study, dataset: xr.Dataset, point: GridPoint) -> Reproduction:
+    """Compute a point of the study of a store, with its ``dataset``, again, serially, in this process; raises what the
+    experiment raises.
+    """
+
+    def raising(task: Task) -> Any:  # nothing is caught or captured, for the debugger
+        return compute(replace(task, caught=False, repeatable=False))
 
     with threadpool_limits(1):  # as everywhere, since the last bits depend on it
-        result, failures = _alone(as_recorded(study, opened.attributes), point.parameters, raising)
-    for message in failures.values():
-        raise ResultError(message)
-    stored = _at(opened.dataset(), Grid(study), point)
+        result = _alone(as_recorded(study, dataset.attrs), point, raising)
+    if isinstance(result, str):
+        raise ResultError(result)
+    stored = _at(dataset, Grid(study), point)
     status = Status(int(stored["status"]))
-    differences = None
-    if status == Status.DONE:
-        one, other = xr.align(stored, result, join="inner")  # a ragged one of others is longer: their lengths tell
-        pairs = {name: (one[name].values, other[name].values) for name in map(str, other) if name in one}
-        differences = {name: pair for name, pair in pairs.items() if not _equal(*pair)}
-    other_code = differences_of_code(records_of(opened.attributes), study)
+    differences = _differences(stored, result) if status == Status.DONE else None
+    other_code = differences_of_code(records_of(dataset.attrs), study)
     return Reproduction(describe(study, point.parameters), result, status.word, differences, other_code)
-
-
-def _at(dataset: xr.Dataset, grid: Grid, point: GridPoint) -> xr.Dataset:
-    places = np.unravel_index(point.index, grid.shape) if grid.shape else ()
-    return dataset.isel(dict(zip(grid.dimensions, map(int, places), strict=True)))
 
 
 def verify(study: Study, where: Where, number: int) -> Verified:
@@ -146,38 +142,40 @@ def verify(study: Study, where: Where, number: int) -> Verified:
     done = np.intersect1d(np.flatnonzero(dataset["status"].values == Status.DONE), grid.indices())
     chosen = heapq.nsmallest(number, grid.points(done), key=lambda point: point.digest)
 
-    def computed(points: Sequence[GridPoint]) -> dict[int, xr.Dataset | str]:
-        results: dict[int, xr.Dataset | str] = {}
+    def computed(points: Sequence[GridPoint]) -> list[xr.Dataset | str]:
         with Children(study.experiment_reference, forked=False) as child:  # a fork has the state of this process
-            for point in points:
-                result, failures = _alone(study, point.parameters, child.run)
-                results[point.index] = next(iter(failures.values()), result)
-        return results
+            return [_alone(study, point, child.run) for point in points]
+
+    def are_alike(one: xr.Dataset | str, other: xr.Dataset | str) -> bool:
+        if isinstance(one, str) or isinstance(other, str):
+            return isinstance(one, str) and isinstance(other, str) and one == other
+        return not _differences(one, other, tolerance)
 
     differing: list[str] = []
-    forward, backward = computed(chosen), computed(chosen[::-1])
-    for point in chosen:
+    forward, backward = computed(chosen), computed(chosen[::-1])[::-1]
+    for point, *seen in zip(chosen, forward, backward, strict=True):
         stored = _at(dataset, grid, point)
-        seen = forward[point.index], backward[point.index]
-        if all(_same(stored, other, tolerance) for other in seen):
+        if all(are_alike(stored, other) for other in seen):
             continue
         cause = "other results than in the store"
         if len(differing) < MOST_EXPLAINED:
-            first, second = (computed([point])[point.index] for _ in range(2))
-            if not _same(first, second, tolerance):
-                cause = RANDOM
-            else:
-                cause = STORED if all(_same(first, other, tolerance) for other in seen) else STATE
+            first, second = computed([point])[0], computed([point])[0]
+            cause = STORED if all(are_alike(first, other) for other in seen) else STATE
+            cause = cause if are_alike(first, second) else RANDOM
         failed = next((f"; computed again it fails: {one}" for one in seen if isinstance(one, str)), "")
         differing.append(f"{describe(study, point.parameters)} has {cause}{failed}")
     return Verified(len(chosen), differing, differences_of_code(records_of(opened.attributes), study))
 
 
-def _alone(
-    study: Study, parameters: dict[str, Any], compute: Callable[[Task], TaskResult]
-) -> tuple[xr.Dataset, dict[str, str]]:
-    """Return the dataset of a point in a session of its own, and why it failed if it did."""
-    swept = {name: value for name, value in parameters.items() if is_other(value, study.experiment.defaults()[name])}
+def _at(dataset: xr.Dataset, grid: Grid, point: GridPoint) -> xr.Dataset:
+    places = np.unravel_index(point.index, grid.shape) if grid.shape else ()
+    return dataset.isel(dict(zip(grid.dimensions, map(int, places), strict=True)))
+
+
+def _alone(study: Study, point: GridPoint, compute: Callable[[Task], TaskResult]) -> xr.Dataset | str:
+    """Return the dataset of a point in a session of its own, or why it failed."""
+    defaults = study.experiment.defaults()
+    swept = {name: value for name, value in point.parameters.items() if is_other(value, defaults[name])}
     alone = replace(study, axes={}, zipped=(), points=None, fixed={**study.fixed, **swept}, published=None, part=None)
 
     def execute(take: Callable[[int], Sequence[Any]]) -> Iterator[tuple[Any, TaskResult]]:
@@ -189,18 +187,17 @@ def _alone(
         session = Session.open(Grid(alone), located(Path(folder) / "point.zarr"))
         session.compute(execute)
         dataset, failures = session.publish()
-        return dataset.to_xarray().drop_vars("wall_time").load(), failures
+        return next(iter(failures.values()), None) or dataset.to_xarray().drop_vars("wall_time").load()
 
 
-def _equal(one: Any, other: Any, tolerance: float = 0.0) -> bool:
+def _differences(stored: xr.Dataset, again: xr.Dataset, tolerance: float = 0.0) -> Pairs:
+    """Return the variables of a point that differ when it is computed again, in any bit or by more than a tolerance."""
+    one, other = xr.align(stored, again, join="inner")  # a ragged one of others is longer: their lengths tell
+    pairs = {str(name): (one[name].values, other[name].values) for name in other if name in one}
+    return {name: pair for name, pair in pairs.items() if not _equal(*pair, tolerance)}
+
+
+def _equal(one: Any, other: Any, tolerance: float) -> bool:
     if tolerance and one.dtype.kind == "f" and one.shape == other.shape:
         return np.allclose(one, other, rtol=tolerance, atol=0.0, equal_nan=True)
     return np.array_equal(one, other, equal_nan=one.dtype.kind in "fM")
-
-
-def _same(one: xr.Dataset | str, other: xr.Dataset | str, tolerance: float) -> bool:
-    """Return whether two results of a point, or its failures, are the same to the last bit, or to a tolerance."""
-    if isinstance(one, str) or isinstance(other, str):
-        return isinstance(one, str) and isinstance(other, str) and one == other
-    one, other = xr.align(one, other, join="inner")  # the dataset of one has the longest of others: their lengths tell
-    return all(_equal(one[name].values, other[name].values, tolerance) for name in other if name in one)

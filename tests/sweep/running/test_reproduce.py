@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import linksweep
-from linksweep.sweep.analysis.quantity import point_at
+from linksweep.sweep.analysis.quantity import point_in
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing.executor import Children
 from linksweep.sweep.formatting import without_secrets
@@ -114,11 +114,11 @@ def everything_in(folder):
 @pytest.mark.parametrize("table", [{"points": TABLE}, {"axes": ZIPPED, "grid": {"zip": [["a", "b"]]}}])
 def test_a_row_is_a_place_also_where_one_of_its_values_has_no_effect(table, tmp_path):
     study = live_study({"experiment": lambda a=0.0, b=0.0: a + (b or 0.0), "when": {"b": {"a": [1.0]}}, **table})
-    linksweep.run(study, store := tmp_path / "s.zarr", pool="serial")
+    dataset = linksweep.run(study, tmp_path / "s.zarr", pool="serial")
     places = {"a=0,b=None": None, "a=1,b=6": 6.0} | ({"point=0": None, "point=2": None} if "points" in table else {})
-    assert {at: point_at(store, study, parse_places([at])).parameters["b"] for at in places} == places
+    assert {at: point_in(dataset, study, parse_places([at]), "").parameters["b"] for at in places} == places
     with pytest.raises(SweepError, match=r"b = 5 is not in the grid"):
-        point_at(store, study, parse_places(["a=0,b=5"]))
+        point_in(dataset, study, parse_places(["a=0,b=5"]), "")
 
 
 @pytest.mark.parametrize("name", ["script.py", slow("sweep"), slow("sweep.py")])
