@@ -254,15 +254,13 @@ class Accumulator:
         """Return whether each point consists of one block, and needs its row alone."""
         return self._whole is not None and not self.reducer.samples_width
 
-    def add_whole(self, works: Sequence[Work], rows: Rows, seconds: Array) -> list[GridPoint]:
-        """Add the only block of each of some points, many at once; return the points."""
-        points = [point for work in works for point in work.points]
-        indices = np.array([point.index for point in points], dtype=np.intp)
+    def add_whole(self, points: Collection[int], rows: Rows, seconds: Array) -> None:
+        """Add the only block of each of some points, by their indices, many at once."""
+        indices = np.array([*points], dtype=np.intp)
         self.realisations[indices] += self.plan.grid.study.sampling.n_cat * self.plan.grid.study.sampling.n_sim
-        self._put(indices, rows[: len(points)])
-        self.seconds[indices] = seconds[: len(points)]
+        self._put(indices, rows)
+        self.seconds[indices] = seconds
         self.status[indices] = DONE
-        return points
 
     def _put(self, indices: NDArray[np.intp], rows: Rows) -> None:
         """Set points that have one block each."""

@@ -96,7 +96,7 @@ def merge(places: Sequence[Where], into: Where, *, accept_code: bool = False, tr
         for source in sources:
             failed |= _take(store, source, sources, experiment, failed if part else {})
         store.flush()
-        accumulator = Accumulator(plan, store.rows, store.read(), (), (), store.samples, store.seconds())
+        accumulator = run.accumulated(plan, store, wanted=frozenset())
         _fail(store, accumulator, failed)
         if part and (lost := lost_parts(plan, accumulator.status, store.rows, part.total)):
             origin[LOST] = f"{in_ranges(lost)} of {part.total}"

@@ -135,7 +135,7 @@ def verify(study: Study, where: Where, number: int) -> Verified:
     function that cannot be sent to another process.
     """
     opened, session = OpenStore(where), Session.open(Grid(study), where, accept_code=True)
-    study = session.asked().study
+    study = session.asked().plan.grid.study
     tolerance = study.experiment.tolerance if study.experiment.vectorised else 0.0
     grid = Grid(study)
     dataset = session.part()[0].to_xarray().transpose(*grid.dimensions, ...)

@@ -393,25 +393,38 @@ class Writer:
 
     def take(self, works: Sequence[Work], result: TaskResult) -> Taken:
         """Add a task's results."""
-        points = [(point, work.block) for work in works for point in work.points]
-        keys = [ledger_key(point.digest, block) for point, block in points]
-        clock = time.monotonic()
+        accumulator, points = self.accumulator, [(point, work.block) for work in works for point in work.points]
+        added, failed = list[Work](), dict[int, Failure]()
         with self._postponed(), self._lock:
-            result, rows = self._as_rows(result)
-            good, ended, added = self._add(works, points, result, rows)
-            failed = {points[row][0].index: failure for row, failure in result.failures.items()}
-            failed |= self._refuse_results([p.index for p in ended if self.accumulator.is_done(p.index)])
+            failures, rows = self._as_rows(result)
+            good = [row for row in range(len(points)) if row not in failures]
+            there = {point.index: point for point, _ in points if accumulator.is_missing(point.index)}
+            for row in sorted(failures):
+                point, block = points[row]
+                if accumulator.is_missing(point.index):  # else it was given up already
+                    failed[point.index] = failures[row]
+                    self._fail(point, failures[row], block)
+            if not failures and accumulator.takes_whole():
+                accumulator.add_whole([point.index for point, _ in points], rows, result.seconds)
+            else:
+                for place, row in enumerate(good):
+                    (point, block), kept = points[row], result.outcomes[row].kept
+                    more = accumulator.add(point, block, rows[place : place + 1], kept, float(result.seconds[row]))
+                    added += [self.plan.work((point,), one) for one in more]
+            ended = tuple(point for index, point in there.items() if not accumulator.is_missing(index))
+            failed |= self._refuse_results([point.index for point in ended if accumulator.is_done(point.index)])
             self.pending.add(added)
             samples = [kept for row in good if (kept := result.outcomes[row].kept) is not None]
-            self.store.append([keys[row] for row in good], rows, samples, result.seconds[good])
+            keys = [ledger_key(point.digest, block) for point, block in map(points.__getitem__, good)]
+            self.store.append(keys, rows, samples, result.seconds[good])
             self.store.clear_failures(point.digest for point in ended if point.index not in failed)
             self._unflushed = True
-            if clock - self._flushed > TUNED.flush_every_s:
+            if time.monotonic() - self._flushed > TUNED.flush_every_s:
                 self.flush()
         realisations = sum(points[row][1].realisations for row in good)
         done = replace(size_of(works, len(ended)), realisations=realisations)
-        begun = {i for row in good if self.accumulator.is_missing(i := points[row][0].index)}
-        return Taken(done, size_of(added, 0), tuple(ended), failed, begun)
+        begun = {point.index for point, _ in map(points.__getitem__, good) if accumulator.is_missing(point.index)}
+        return Taken(done, size_of(added, 0), ended, failed, begun)
 
     def write_when_due(self) -> None:
         """Write the labelled dataset if the last one is some time ago."""
@@ -420,8 +433,8 @@ class Writer:
         if clock - self._written > TUNED.write_every_s and self._writing < most:
             self.write()
 
-    def _as_rows(self, result: TaskResult) -> tuple[TaskResult, Rows]:
-        """Return the rows of results that are like those before, in order, and a result in which the others fail."""
+    def _as_rows(self, result: TaskResult) -> tuple[dict[int, Failure], Rows]:
+        """Return which results fail, those too that are not like those before, and the rows of the others in order."""
         failures = dict(result.failures)
         outcomes = self.store.kept({row: one for row, one in result.outcomes.items() if row not in failures})
         experiment, fields, refused = self.plan.grid.study.experiment.learned(outcomes)
@@ -429,7 +442,7 @@ class Writer:
             self._learn(experiment)
         failures |= {row: Failure("exception", why) for row, why in refused.items()}
         rows = np.array([fields[row] for row in sorted(fields)], dtype=experiment.reducer.dtype)
-        return replace(result, failures=failures), rows
+        return failures, rows
 
     def _learn(self, experiment: Experiment) -> None:
         """Let the store and all rows have the types of results that are known now: those that came were the first, or
@@ -450,34 +463,6 @@ class Writer:
         self._provenance |= record
         self.store.record(record)
         hold(self.store, study)
-
-    def _add(
-        self, works: Sequence[Work], points: Sequence[tuple[GridPoint, Block]], result: TaskResult, rows: Rows
-    ) -> tuple[list[int], list[GridPoint], list[Work]]:
-        """Add rows to their points; return which results are good, the points that have ended, and what these still
-        need.
-        """
-        if not result.failures and self.accumulator.takes_whole():
-            whole = self.accumulator.add_whole(works, rows, result.seconds)
-            return list(range(len(whole))), whole, []
-        good: list[int] = []
-        ended: list[GridPoint] = []
-        added: list[Work] = []
-        for row, (point, block) in enumerate(points):
-            if (failure := result.failures.get(row)) is not None:
-                ends = self.accumulator.is_missing(point.index)  # else it was given up already
-                if ends:
-                    self._fail(point, failure, block)
-            else:
-                one_row = rows[len(good) : len(good) + 1]
-                good.append(row)
-                kept, seconds = result.outcomes[row].kept, float(result.seconds[row])
-                more = self.accumulator.add(point, block, one_row, kept, seconds)
-                added += [self.plan.work((point,), one) for one in more]
-                ends = self.accumulator.is_done(point.index)
-            if ends:
-                ended.append(point)
-        return good, ended, added
 
     def write(self, final: bool = False) -> Labelled:
         """Write the labelled dataset of everything taken so far, unless the store has it already, and return it."""
@@ -647,6 +632,16 @@ class _RefusedError(SweepError):
     """No result of an experiment is to be used, as its first ones show."""
 
 
+def accumulated(
+    plan: Plan, store: Store, again: Set[bytes] = frozenset(), wanted: Set[bytes] | None = None
+) -> Accumulator:
+    """Return what an open store has of a plan; only points that are ``wanted`` are pending if these are given, of those
+    that failed only the ones to compute ``again``.
+    """
+    failed = store.failures.keys() - again
+    return Accumulator(plan, store.rows, store.read(), failed, wanted, store.samples, store.seconds())
+
+
 class Session:
     """A study, its grid, its store and its pending work.
 
@@ -654,24 +649,9 @@ class Session:
     labelled dataset.  Whoever computes holds the lock of the store; without ``writes`` nothing can be written to it.
     """
 
-    def __init__(
-        self,
-        plan: Plan,
-        where: Where,
-        store: Store | None,
-        wanted: Set[bytes] | None = None,
-        again: Set[bytes] = frozenset(),
-    ) -> None:
-        """Start with the open ``store`` if there is one; only points that are ``wanted`` are pending if these are
-        given, of those that failed only the ones to compute ``again``.
-        """
-        self._where, self.store, self._is_new = where, store, store is None
-        if store is None:
-            self.accumulator = Accumulator(plan)
-        else:
-            failed = store.failures.keys() - again
-            stored = store.rows, store.read(), failed, wanted, store.samples, store.seconds()
-            self.accumulator = Accumulator(plan, *stored)
+    def __init__(self, where: Where, accumulator: Accumulator, store: Store | None, is_new: bool) -> None:
+        """Start with what the open ``store`` has, if there is one."""
+        self._where, self.accumulator, self.store, self._is_new = where, accumulator, store, is_new
         self._asked: Study | None = None
         self.is_left_alone = False
         self._too_many = ""
@@ -695,41 +675,40 @@ class Session:
         SweepError for a store that cannot go on with this study, and for one that other code made unless
         ``accept_code``.
         """
-        study, store = grid.study, None
-        whole, wanted, again = study, None, frozenset[bytes]()
+        study = grid.study
         opened = replace_store(where, attributes_of(Plan(grid))) if fresh else find_store(where, study, beside.keep)
-        if retry and opened is None:
-            raise SweepError("no store is there whose failed points could be computed again", str(where))
-        if beside.redo and opened is None:
-            points = list(grid.points())
-            where_met(study, points, beside.redo, [False] * len(points))
-        if opened is not None:
-            study = whole = as_recorded(study, opened.attributes) if study.experiment.undeclared else study
-            store = open_store(opened, study, writes)
-            study, whole, wanted = with_stored(store, study, beside.only)
-            records = again_where(store, whole, beside.redo) if beside.redo else {}
-            check_code(store, study, records, accept_code)
-            if records:
-                require_known(whole, lambda grid: (p for p in grid.points() if p.digest in records))
-            store.again(records)
-            again = frozenset(records)
-            if not store.rows and grid.study.experiment.undeclared:  # what results are like is open again
-                known = replace(grid.study.experiment, parameters=whole.experiment.parameters)
-                is_alone, study = whole is study, replace(study, experiment=known)
-                whole = study if is_alone else replace(whole, experiment=known)
+        if opened is None:
             if retry:
-                wanted = again = frozenset(store.failures.keys() & set(grid.digests(grid.indices())))
-            wanted = None if wanted is None else wanted | again
+                raise SweepError("no store is there whose failed points could be computed again", str(where))
+            if beside.redo:
+                points = list(grid.points())
+                where_met(study, points, beside.redo, [False] * len(points))
+            return cls(where, Accumulator(Plan(grid)), None, is_new=True)
+        store = open_store(opened, study, writes)
+        study, whole, wanted = with_stored(store, study, beside.only)
+        records = again_where(store, whole, beside.redo) if beside.redo else {}
+        check_code(store, study, records, accept_code)
+        if records:
+            require_known(whole, lambda grid: (p for p in grid.points() if p.digest in records))
+        store.again(records)
+        again: Set[bytes] = records.keys()
+        if store.rows and study.experiment.undeclared:  # without rows it is open again what results are like
+            is_alone, study = whole is study, as_recorded(study, store.attributes)
+            whole = study if is_alone else as_recorded(whole, store.attributes)
+            hold(store, whole)
+        if retry:
+            wanted = again = store.failures.keys() & set(grid.digests(grid.indices()))
+        wanted = None if wanted is None else wanted | again
         plan = Plan(grid) if whole is grid.study else Plan(Grid(whole, grid.warnings))
-        session = cls(plan, where, store, wanted, again)
-        session._is_new |= fresh
-        if store is not None and whole is not study:
+        accumulator = accumulated(plan, store, again, wanted)
+        session = cls(where, accumulator, store, is_new=fresh)
+        if whole is not study:
             session._asked = study
             is_stored = store.attributes.get("study_digest") == whole.digest() and "points" in store.attributes
             is_stored &= store.attributes.get(BLOCKS) == len(store.rows)
             failed = wanted is not None and not store.failures.keys().isdisjoint(wanted)
-            session.is_left_alone = is_stored and not failed and not session.accumulator.survey.pending.blocks
-            missing = session.accumulator.missing_points()
+            session.is_left_alone = is_stored and not failed and not accumulator.survey.pending.blocks
+            missing = accumulator.missing_points()
             require_known(whole, lambda grid: (p for p in grid.points(missing) if not wanted or p.digest in wanted))
         return session
 
@@ -741,20 +720,21 @@ class Session:
     @property
     def survey(self) -> Survey:
         """How much there is of what was asked for, and how much is pending; of all points if more than these are."""
-        whole = self.accumulator.survey
-        asked = whole if self._asked is None else self.asked().accumulator.survey
+        whole, asked = self.accumulator.survey, self.asked().survey
         return asked if asked.pending.blocks == whole.pending.blocks else whole
 
-    def asked(self) -> "Session":
-        """Return the session of the points of the study that was asked for alone, with what is there now."""
+    def asked(self) -> Accumulator:
+        """Return what is there now of the points of the study that was asked for alone."""
+        if self._asked is None or self.store is None:
+            return self.accumulator
         study = self.study
-        known = replace(self._asked or study, experiment=study.experiment, sampling=study.sampling, counts=study.counts)
-        return Session(self.accumulator.plan.for_study(known), self._where, self.store)
+        known = replace(self._asked, experiment=study.experiment, sampling=study.sampling, counts=study.counts)
+        return accumulated(self.accumulator.plan.for_study(known), self.store)
 
     def part(self) -> tuple[Labelled, dict[str, str]]:
         """Return the results of the points of the study that was asked for, and its failures by place."""
         assert self.store is not None, "it has more points"
-        writer = Writer(self.asked().accumulator, self.store)
+        writer = Writer(self.asked(), self.store)
         return masked(writer.assembled(final=True)), writer.failures()
 
     def compute(
@@ -769,7 +749,8 @@ class Session:
         ``postponed`` gives contexts in which interruptions wait.  Raises SweepError for results that are refused, and
         whatever the executor raises, with everything that was finished in the store.
         """
-        total, pending = self.survey.total.points, self.survey.pending
+        survey = self.survey
+        total, pending = survey.total.points, survey.pending
         failing = FailureCount(self.study, total, total - pending.points, most=max_failures)
         writer = self._writer = Writer(self.accumulator, self._begun(progress), postponed)
         writer.declared_files = files_read(self.study.experiment_reference)
@@ -852,8 +833,7 @@ def plan_study(study: Study, store: Where, accept_code: bool = False) -> tuple[P
     input, and for a store that other code made unless ``accept_code``.
     """
     session = Session.open(make_grid(study), store, accept_code=accept_code)
-    asked = session if session._asked is None else session.asked()
-    return asked.accumulator.plan, session.survey
+    return session.asked().plan, session.survey
 
 
 def stored_results(study: Study, store: Where) -> Labelled:
