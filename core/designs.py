@@ -18,8 +18,7 @@ Noisy design: normal equations are added up over objects, for many realisations 
 With sin and cos s, c of ra and S, C of dec (p = (-s, c, 0), q = (-S c, -S s, C), eta = (c, s, 0)/C), the entries of
 q q^T and p p^T are linear in 1 and seven products of these; those of q p^T need five more.  One matrix product with the
 weights of the four observables gives all blocks that proper motions do not enter; the terms A21 take a few sums of
-products.  All is computed in arrays that are used again for the next objects: temporary ones would cost more than the
-arithmetic.
+products.
 """
 
 import math
@@ -338,24 +337,16 @@ class Seen(NamedTuple):
     pmra_turn: Array
     pmdec_turn: Array
 
-    def products(self, out: Array, work: Array) -> Array:
+    def products(self, out: Array) -> Array:
         """Write the products of sin and cos into the first axis of ``out``: seven, or with a glide twelve."""
         s, c, sin_dec, cos_dec = self[:4]
         cc, cs, ss = out[:3]
-        np.multiply(c, c, out=cc)
-        np.multiply(c, s, out=cs)
-        np.multiply(sin_dec, sin_dec, out=ss)
-        np.multiply(ss, cc, out=out[3])
-        np.multiply(ss, cs, out=out[4])
-        mixed = np.multiply(sin_dec, cos_dec, out=work)
-        np.multiply(mixed, c, out=out[5])
-        np.multiply(mixed, s, out=out[6])
-        if len(out) > 7:
-            out[7] = sin_dec
-            np.multiply(sin_dec, cc, out=out[8])
-            np.multiply(sin_dec, cs, out=out[9])
-            np.multiply(cos_dec, c, out=out[10])
-            np.multiply(cos_dec, s, out=out[11])
+        mixed = sin_dec * cos_dec
+        pairs: list[tuple[Array, Array | float]]
+        pairs = [(c, c), (c, s), (sin_dec, sin_dec), (ss, cc), (ss, cs), (mixed, c), (mixed, s)]
+        pairs += [(sin_dec, 1.0), (sin_dec, cc), (sin_dec, cs), (cos_dec, c), (cos_dec, s)]
+        for product, (a, b) in zip(out, pairs, strict=False):  # ``out`` ends before those of a glide
+            np.multiply(a, b, out=product)
         return out
 
 
@@ -371,7 +362,7 @@ class NormalSums:
         self.turns = np.zeros((ORIENTATION.stop, unknowns, catalogues, rows))
         self.right = np.zeros((unknowns, catalogues, rows))
 
-    def add(self, which: slice, seen: Seen, products: Array, weights: Array, weighted: Array, scratch: Array) -> None:
+    def add(self, which: slice, seen: Seen, products: Array, weights: Array, weighted: Array) -> None:
         """Add objects of some of the catalogues, with ``weights`` (catalogues, m, 4) and weighted differences
         ``weighted`` (m, 4, catalogues, rows).
         """
@@ -379,13 +370,13 @@ class NormalSums:
         # one matrix product for all four observables: their weights are the same in all realisations
         self.product_sums[:, which] += weights.swapaxes(1, 2) @ products.swapaxes(1, 2)
         right, (ra, dec, pmra, pmdec) = self.right[:, which], weighted.swapaxes(0, 1)
-        _add_right(right[ORIENTATION], seen, ra, dec, scratch[0])
-        _add_right(right[SPIN], seen, pmra, pmdec, scratch[0])
+        _add_right(right[ORIENTATION], seen, ra, dec)
+        _add_right(right[SPIN], seen, pmra, pmdec)
         if self.glide:
-            _add_right(right[GLIDE], seen, pmdec, -pmra, scratch[0])
+            _add_right(right[GLIDE], seen, pmdec, -pmra)
         if self.corrections:
             each = weights.transpose(1, 2, 0)[..., None]
-            self._add_turns(self.turns[:, :, which], right, seen, products, each, weighted, scratch)
+            self._add_turns(self.turns[:, :, which], right, seen, products, each, weighted)
 
     def equations(self) -> tuple[Array, Array]:
         """Return A^T W A, shape (K, K, catalogues, rows), and A^T W y, shape (K, catalogues, rows)."""
@@ -417,44 +408,36 @@ class NormalSums:
         return np.array([[s_cs, -s_cc, none], [sin_dec - s_cc, -s_cs, none], [-cos_s, cos_c, none]])
 
     def _add_turns(
-        self, turns: Array, right: Array, seen: Seen, products: Array, weights: Array, weighted: Array, scratch: Array
+        self, turns: Array, right: Array, seen: Seen, products: Array, weights: Array, weighted: Array
     ) -> None:
         """Add the terms of A21, whose rows are -pmdec eta and pmra eta in the third and fourth observable."""
         s, c, sin_dec = seen[:3]
         cc, cs = products[:2]
         u, v = seen.pmdec_turn, seen.pmra_turn
-        wu, wv, term, work = scratch
-        np.multiply(weights[:, PMRA], u, out=wu)
-        np.multiply(weights[:, PMDEC], v, out=wv)
-
-        np.multiply(wu, u, out=term)  # of eta eta^T
-        term += np.multiply(wv, v, out=work)
-        xx, xy = _dot(term, cc), _dot(term, cs)
+        wu, wv = weights[:, PMRA] * u, weights[:, PMDEC] * v
+        squares = wu * u + wv * v  # of eta eta^T
+        xx, xy = _dot(squares, cc), _dot(squares, cs)
         turns[0, 0] += xx
         turns[0, 1] += xy
-        turns[1, 1] += term.sum(axis=0) - xx
-
-        np.multiply(v, weighted[:, PMDEC], out=term)  # of eta y
-        term -= np.multiply(u, weighted[:, PMRA], out=work)
-        right[0] += _dot(term, c)
-        right[1] += _dot(term, s)
-
-        _add_turned(turns[:, SPIN], np.multiply(wu, sin_dec, out=term), wv, cc, cs)
-        np.multiply(weights[:, PMRA], seen.pmdec, out=work)
-        turns[0, SPIN][2] -= _dot(work, c)
-        turns[1, SPIN][2] -= _dot(work, s)
+        turns[1, 1] += squares.sum(axis=0) - xx
+        misfit = v * weighted[:, PMDEC] - u * weighted[:, PMRA]  # of eta y
+        right[0] += _dot(misfit, c)
+        right[1] += _dot(misfit, s)
+        _add_turned(turns[:, SPIN], wu * sin_dec, wv, cc, cs)
+        across = weights[:, PMRA] * seen.pmdec
+        turns[0, SPIN][2] -= _dot(across, c)
+        turns[1, SPIN][2] -= _dot(across, s)
         if self.glide:
-            wv *= sin_dec
-            _add_turned(turns[:, GLIDE], np.negative(wv, out=term), wu, cc, cs)
-            np.multiply(weights[:, PMDEC], seen.pmra, out=work)
-            turns[0, GLIDE][2] += _dot(work, c)
-            turns[1, GLIDE][2] += _dot(work, s)
+            _add_turned(turns[:, GLIDE], -(wv * sin_dec), wu, cc, cs)
+            across = weights[:, PMDEC] * seen.pmra
+            turns[0, GLIDE][2] += _dot(across, c)
+            turns[1, GLIDE][2] += _dot(across, s)
 
 
-def _add_right(right: Array, seen: Seen, along_q: Array, along_p: Array, work: Array) -> None:
+def _add_right(right: Array, seen: Seen, along_q: Array, along_p: Array) -> None:
     """Add sum(q a - p b) of a and b of shape (m, catalogues, rows)."""
     s, c, sin_dec, cos_dec = seen[:4]
-    down = np.multiply(sin_dec, along_q, out=work)
+    down = sin_dec * along_q
     right[0] += _dot(s, along_p) - _dot(c, down)
     right[1] -= _dot(c, along_p) + _dot(s, down)
     right[2] += _dot(cos_dec, along_q)
@@ -516,12 +499,10 @@ class NoisyDesign:
         # an orientation that stays at its true value has no derivatives
         turns, glide = setup.scenario.corrections and setup.measured[0], setup.scenario.solve_glide
         self.sums = [NormalSums(self.catalogues, rows, turns, glide) for _ in self.weights]
-        # of full size also where fewer objects or catalogues are left, so that the same memory serves all parts
+        # the largest arrays are used again for the next objects: temporary ones would be given back to the system
         columns = self.together, rows
         self.errors = np.empty((3, self.objects, 4, *columns))
-        self.seen = np.empty((len(Seen._fields), self.objects, *columns))
         self.products = np.empty((len(self.sums[0].product_sums), self.objects, *columns))
-        self.scratch = np.empty((4, self.objects, *columns))
         return self.solved
 
     def add(self, satellite: Tile | None, reference: Tile) -> None:
@@ -563,87 +544,61 @@ class NoisyDesign:
             misclosure -= np.multiply(satellite, self.satellite_sigma[at], out=weighted)
         if setup.satellite.field is not None and self.drawn is not None:
             misclosure -= setup.satellite.field.values(self.drawn, part)[:, :, None]
-        scratch = self.scratch[:, *inside]
-        seen = self._seen((part, which), shift, Seen(*self.seen[:, *inside]), scratch)
+        seen = self._seen((part, which), shift)
         # before the sums: they are then those of the error alone, however large the truth
-        self._subtract_truth(seen, misclosure, scratch)
-        products = seen.products(self.products[:, *inside], scratch[0])
+        self._subtract_truth(seen, misclosure)
+        products = seen.products(self.products[:, *inside])
         for sums, all_weights in zip(self.sums, self.weights, strict=True):
             weights = all_weights[which, part]
             np.multiply(misclosure, weights.transpose(1, 2, 0)[..., None], out=weighted)
-            sums.add(which, seen, products, weights, weighted, scratch)
+            sums.add(which, seen, products, weights, weighted)
         # the last weights are those of chi2
         self.squares[which] += product_sum(weighted.transpose(2, 0, 1, 3), misclosure.transpose(2, 0, 1, 3))
 
-    def _seen(self, at: tuple[slice, slice], shift: Array, seen: Seen, scratch: Array) -> Seen:
-        """Write the objects with their errors ``shift``."""
-        cos_dec = self.cos_dec[at]
-        d_ra, d_dec = np.divide(shift[:, RA], cos_dec, out=scratch[0]), shift[:, DEC]
+    def _seen(self, at: tuple[slice, slice], shift: Array) -> Seen:
+        """Return the objects with their errors ``shift``."""
+        d_ra, d_dec = shift[:, RA] / self.cos_dec[at], shift[:, DEC]
         if self.small[at].all():
-            _turn(self.sin_ra[at], self.cos_ra[at], d_ra, scratch[1:3], seen.s, seen.c)
-            _turn(self.sin_dec[at], cos_dec, d_dec, scratch[1:3], seen.sin_dec, seen.cos_dec)
+            s, c = _turn(self.sin_ra[at], self.cos_ra[at], d_ra)
+            sin_dec, cos_dec = _turn(self.sin_dec[at], self.cos_dec[at], d_dec)
         else:
             ra, dec = self.ra[at] + d_ra, self.dec[at] + d_dec
-            np.sin(ra, out=seen.s)
-            np.cos(ra, out=seen.c)
-            np.sin(dec, out=seen.sin_dec)
-            np.cos(dec, out=seen.cos_dec)
-        if seen.cos_dec.min() < frames.POLE_LIMIT:  # negative beyond the pole, where dec is above 90 deg
-            item, catalogue, row = np.argwhere(seen.cos_dec < frames.POLE_LIMIT)[0]
+            s, c, sin_dec, cos_dec = np.sin(ra), np.cos(ra), np.sin(dec), np.cos(dec)
+        if cos_dec.min() < frames.POLE_LIMIT:  # negative beyond the pole, where dec is above 90 deg
+            item, catalogue, row = np.argwhere(cos_dec < frames.POLE_LIMIT)[0]
             dec = self.dec[at][item, catalogue, 0] + d_dec[item, catalogue, row]
             raise frames.pole_error(at[0].start + int(item), float(dec))
-        np.add(self.pmra[at], shift[:, PMRA], out=seen.pmra)
-        np.add(self.pmdec[at], shift[:, PMDEC], out=seen.pmdec)
-        np.divide(seen.pmra, seen.cos_dec, out=seen.pmra_turn)
-        np.divide(seen.pmdec, seen.cos_dec, out=seen.pmdec_turn)
-        return seen
+        pmra, pmdec = self.pmra[at] + shift[:, PMRA], self.pmdec[at] + shift[:, PMDEC]
+        return Seen(s, c, sin_dec, cos_dec, pmra, pmdec, pmra / cos_dec, pmdec / cos_dec)
 
-    def _subtract_truth(self, seen: Seen, misclosure: Array, scratch: Array) -> None:
+    def _subtract_truth(self, seen: Seen, misclosure: Array) -> None:
         """Subtract A times the truth, A the noisy design, so that the solution is estimate - truth."""
         scenario, truth = self.setup.scenario, self.setup.truth
-        turn, work = scratch[:2]
         ra, dec, pmra, pmdec = misclosure.swapaxes(0, 1)
         if scenario.corrections:
-            np.multiply(seen.c, truth[0], out=turn)
-            turn += np.multiply(seen.s, truth[1], out=work)  # eta.epsilon cos dec
-            pmra += np.multiply(seen.pmdec_turn, turn, out=work)
-            pmdec -= np.multiply(seen.pmra_turn, turn, out=work)
-        _add_field(ra, dec, seen, -truth[ORIENTATION], scratch)
-        _add_field(pmra, pmdec, seen, -truth[SPIN], scratch)
+            turn = seen.c * truth[0] + seen.s * truth[1]  # eta.epsilon cos dec
+            pmra += seen.pmdec_turn * turn
+            pmdec -= seen.pmra_turn * turn
+        _add_field(ra, dec, seen, -truth[ORIENTATION])
+        _add_field(pmra, pmdec, seen, -truth[SPIN])
         if scenario.solve_glide:  # g adds p.g and q.g
             along_p = np.zeros_like(pmra)
-            _add_field(pmdec, along_p, seen, -truth[GLIDE], scratch)
+            _add_field(pmdec, along_p, seen, -truth[GLIDE])
             pmra -= along_p
 
 
-def _add_field(along_q: Array, along_p: Array, seen: Seen, vector: Array, scratch: Array) -> None:
+def _add_field(along_q: Array, along_p: Array, seen: Seen, vector: Array) -> None:
     """Add q.vector to the one and -p.vector to the other, in place."""
     x, y, z = vector
-    field, work = scratch[:2]
-    np.multiply(seen.c, -x, out=field)
-    field -= np.multiply(seen.s, y, out=work)
-    field *= seen.sin_dec
-    along_q += field
-    along_q += np.multiply(seen.cos_dec, z, out=work)
-    along_p += np.multiply(seen.s, x, out=work)
-    along_p -= np.multiply(seen.c, y, out=work)
+    along_q += (seen.c * -x - seen.s * y) * seen.sin_dec
+    along_q += seen.cos_dec * z
+    along_p += seen.s * x
+    along_p -= seen.c * y
 
 
-def _turn(sin: Array, cos: Array, angle: Array, scratch: Array, sin_out: Array, cos_out: Array) -> None:
-    """Write sin and cos of the sum of two angles by the addition theorem; ``angle`` is below `SMALL_ANGLE`."""
-    small_sin, minus = scratch  # sin of the small angle, and its cos - 1
-    np.multiply(angle, angle, out=small_sin)
-    np.multiply(small_sin, 1.0 / 24.0, out=minus)
-    minus -= 0.5  # cos x - 1 = x^2 (x^2/24 - 1/2), without the cancellation of cos x and 1
-    minus *= small_sin
-    small_sin *= -1.0 / 6.0
-    small_sin += 1.0
-    small_sin *= angle
-    np.multiply(sin, minus, out=sin_out)
-    np.multiply(cos, small_sin, out=cos_out)
-    sin_out += cos_out
-    sin_out += sin
-    np.multiply(cos, minus, out=cos_out)
-    small_sin *= sin
-    cos_out -= small_sin
-    cos_out += cos
+def _turn(sin: Array, cos: Array, angle: Array) -> tuple[Array, Array]:
+    """Return sin and cos of the sum of two angles by the addition theorem; ``angle`` is below `SMALL_ANGLE`."""
+    square = angle * angle
+    minus = (square * (1.0 / 24.0) - 0.5) * square  # cos x - 1, without its cancellation
+    small_sin = (square * (-1.0 / 6.0) + 1.0) * angle
+    return sin * minus + cos * small_sin + sin, cos * minus - small_sin * sin + cos
