@@ -7,6 +7,7 @@ are above 0, and in that of the axis if all its values are above 0 and its unit 
 magnitudes are.
 """
 
+import json
 import math
 import operator
 import re
@@ -160,20 +161,15 @@ class Lines:
         return f" at {words}" if words else ""
 
     def dataset(
-        self, rows: Sequence[Mapping[str, Any]], shown: Sequence[str], notes: Sequence[str], **about: Any
+        self, rows: Sequence[Mapping[str, Any]], shown: Sequence[str], notes: list[str], **about: Any
     ) -> xr.Dataset:
         """Return what is derived from the lines, a row for each; what a row lacks is NaN."""
         per = f"1 / ({self.over_unit})" if self.over_unit else ""
         units = {"": "", "quantity": self.unit, "axis": self.over_unit, "per axis": per}
-        columns = {}
-        for name in max(rows, key=len):
-            unit, meaning = MEANINGS[name.removesuffix("_error")]
-            if name.endswith("_error"):
-                meaning = f"one-sigma error of {name.removesuffix('_error')}"
-            words = meaning.format(variable=self.variable, over=self.over)
-            columns[name] = [row.get(name, np.nan) for row in rows], units[unit], words
-        about |= {"variable": self.variable, "over": self.over, "errors": self.errors}
-        result = derived(self.grid, self.dims, columns, shown, notes, **about)
+        meanings = {name: (units[unit], words.format_map(vars(self))) for name, (unit, words) in MEANINGS.items()}
+        columns = {name: [row.get(name, np.nan) for row in rows] for name in max(rows, key=len)}
+        about |= {"variable": self.variable, "over": self.over, "errors": self.errors, "notes": json.dumps(notes)}
+        result = derived(self.grid, self.dims, columns, meanings, shown).assign_attrs(about)
         if "pivot" in result:  # a place without an error
             result["pivot"].attrs[STEP] = min(float(np.diff(line.x).min()) for line in self.lines if len(line.x) > 1)
         return result

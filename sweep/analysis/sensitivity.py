@@ -12,6 +12,7 @@ Safety 107, 149); for texts and for few different numbers it is the mean of each
 """
 
 import json
+import math
 import warnings
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -105,25 +106,23 @@ def sensitivity(dataset: xr.Dataset, output: str | None = None, seed: int = 0) -
         raise SweepError(f"{output} is not a finite number at {int(np.sum(~np.isfinite(values)))} points")
     error = quantity.standard_error(dataset, output)
     errors = np.zeros(values.shape) if error is None else error.transpose(*others, *method.over).values
-    places = list(np.ndindex(*values.shape[: len(others)]))
-    made = [_estimated(method, values[i], errors[i]) for i in places]
-    points = int(np.prod([dataset.sizes[d] for d in method.over]))
+    made = np.array([_estimated(method, values[i], errors[i]) for i in np.ndindex(values.shape[: len(others)])])
+    index, sigma, *_ = indices = made.swapaxes(0, 1)  # (indices, places, parameters)
+    points = math.prod(dataset.sizes[d] for d in method.over)
     notes = [f"sensitivity of {output} by {method.name}, from {points:,} points", *method.notes]
-    if any((np.isnan(sigma) & np.isfinite(index)).any() for index, sigma, *_ in made):
+    if (np.isnan(sigma) & np.isfinite(index)).any():
         why = "points share random numbers, or their Monte-Carlo errors are not known"
         notes.append(f"{why}: errors of the indices are not known, and noise counts as variation")
-    if unknown := sum(bool(np.isnan(one[0]).all()) for one in made):
+    if unknown := np.isnan(index).all(axis=1).sum():
         where = f" at {unknown} of {len(made)} places" if len(made) > 1 else ""
         notes.append(f"{output} does not vary{where}, or no more than its errors: no indices")
-    numbers = np.array(made).swapaxes(0, 1)  # (indices, places, parameters)
     unit = units_of(dataset[output].attrs) if method.indices is EFFECTS else ""
-    columns = {
-        name: (one, unit, MEANINGS.get(name, f"one-sigma error of {name.removesuffix('_error')}"))
-        for name, one in zip(method.indices, numbers, strict=True)
-    }
+    columns = dict(zip(method.indices, indices, strict=True))
     grid = quantity.grid_of(dataset, others).assign_coords(parameter=np.array(method.parameters, dtype=object))
+    meanings = {name: (unit, meaning) for name, meaning in MEANINGS.items()}
     about = {"result": "sensitivity", "output": output, METHOD: method.name, "points": points}
-    return derived(grid, [*others, "parameter"], columns, [n for n in columns if n in MEANINGS], notes, **about)
+    result = derived(grid, [*others, "parameter"], columns, meanings, [n for n in columns if n in MEANINGS])
+    return result.assign_attrs(about, notes=json.dumps(notes))
 
 
 @np.errstate(over="ignore")  # an effect may be no float
@@ -141,13 +140,12 @@ def _of_points(dataset: xr.Dataset, seed: int) -> _Method:
     parameters = [n for n in table.get("ranges", table.get("parameters", [])) if n in dataset.coords]
     if gaps := [name for name in parameters if design != "saltelli" and dataset[name].isnull().any()]:
         raise SweepError(f"{gaps[0]} is missing at points where it has no effect: choose others, --at PARAMETER=VALUE")
-    if design in ("saltelli", "morris"):
-        if DESIGNS[design].size(table["n"], len(parameters)) != dataset.sizes[POINT]:
-            raise SweepError(f"indices of a {design} design need all of its points")
-    else:
+    if design not in ("saltelli", "morris"):
         parameters = [name for name in quantity.varied_parameters(dataset) if name in parameters]
-        if not parameters:
-            raise SweepError("the points do not differ in any parameter")
+    elif DESIGNS[design].size(table["n"], len(parameters)) != dataset.sizes[POINT]:
+        raise SweepError(f"indices of a {design} design need all of its points")
+    if not parameters:
+        raise SweepError("the points do not differ in any parameter")
     places = [_places(dataset, name, ranges.get(name), design) for name in parameters]
     if design == "saltelli":
         noise = "Monte-Carlo errors of the points count as interactions: they are in the total indices"
@@ -159,8 +157,8 @@ def _of_points(dataset: xr.Dataset, seed: int) -> _Method:
         unit, name = np.stack(places, axis=1), "SALib, of a morris design"
         return _Method(name, parameters, [POINT], EFFECTS, lambda y, _: morris_effects(y, unit, seed), notes)
     even = design not in ("", "random")
-    needed, together = "total indices need a full grid or a saltelli design", _correlated(parameters, places)
-    notes = [needed, *([] if design else together)]
+    notes = ["total indices need a full grid or a saltelli design"]
+    notes += [] if design else _correlated(parameters, places)
     name = f"regression on each parameter, of {design or 'given'} points"
     return _Method(name, parameters, [POINT], INDICES[:2], lambda y, _: first_order(y, places, even, seed), notes)
 
@@ -176,11 +174,7 @@ def _of_grid(dataset: xr.Dataset, seed: int) -> _Method:
     shared = any(quantity.shares_random_numbers(dataset, [d]) for d in over)
 
     def estimate(values: Array, errors: Array) -> Sequence[Array]:
-        if not shared and np.isfinite(errors).all():
-            return indices_of_grid(values, errors, continuous, seed)
-        first, _, total, _ = indices_of_grid(values, None, continuous, seed)
-        unknown = np.full(len(over), np.nan)
-        return first, unknown, total, unknown
+        return indices_of_grid(values, np.nan * errors if shared else errors, continuous, seed)
 
     notes = ["every value of an axis counts the same: real numbers are midpoints of equal cells"]
     notes += [f"{n}: zipped axes advance together, and have one index" for n in parameters if "+" in n]
@@ -209,36 +203,35 @@ def _places(dataset: xr.Dataset, name: str, spec: Any, design: str) -> Array:
 
 def _correlated(parameters: Sequence[str], places: Sequence[Array]) -> list[str]:
     """Return a sentence if parameters of a table are correlated, so that each has a part in the index of the other."""
-    if len(parameters) < 2:
-        return []
-    correlation = np.abs(np.corrcoef(np.stack(places)))
-    np.fill_diagonal(correlation, 0.0)
-    one, other = map(int, np.unravel_index(int(np.argmax(correlation)), correlation.shape))
-    if not correlation[one, other] > CORRELATED:
-        return []
-    return [f"{parameters[one]} and {parameters[other]} go together in these points: their indices share a part"]
+    correlation = np.triu(np.abs(np.atleast_2d(np.corrcoef(np.stack(places)))), 1)
+    pair = np.unravel_index(np.argmax(correlation), correlation.shape)
+    one, other = (parameters[int(place)] for place in pair)
+    words = f"{one} and {other} go together in these points: their indices share a part"
+    return [words] if correlation[pair] > CORRELATED else []
 
 
 # Estimators: arrays in, arrays out
 
 
 def indices_of_grid(
-    values: Array, errors: Array | None, continuous: Sequence[bool], seed: int = 0
+    values: Array, errors: Array | float, continuous: Sequence[bool], seed: int = 0
 ) -> tuple[Array, Array, Array, Array]:
     """Return first-order and total indices with one-sigma errors, each (axes,), of values with one dimension per axis.
 
     ``errors`` are one sigma of independent values: their variance is subtracted from the indices, and their effect is
-    in the errors of the indices.  ``continuous`` says which axes are of real numbers.
+    in the errors of the indices, which are NaN where some are not known.  ``continuous`` says which axes are of real
+    numbers.
 
     The indices of y = a + b, both uniform on two values, where b varies twice as much:
 
     >>> a, b = np.array([0.0, 1.0]), np.array([0.0, 2.0])
-    >>> first, _, total, _ = indices_of_grid(a[:, None] + b, None, [False, False])
+    >>> first, _, total, _ = indices_of_grid(a[:, None] + b, 0.0, [False, False])
     >>> first.tolist(), total.tolist()
     ([0.2, 0.8], [0.2, 0.8])
     """
     equal = [np.full(n, 1.0 / n) for n in values.shape]
-    noise = np.zeros(values.shape) if errors is None else errors**2
+    are_known = np.isfinite(errors).all()
+    noise = np.broadcast_to(np.square(errors) if are_known else 0.0, values.shape)
     estimated = _indices(values, noise, equal)
     coarseness = np.zeros(estimated.shape)
     for degree in DEGREES if any(continuous) else ():
@@ -250,7 +243,7 @@ def indices_of_grid(
         rng = np.random.default_rng(seed)
         drawn = (values + rng.standard_normal(values.shape) * np.sqrt(noise) for _ in range(RESAMPLES))
         variance += np.var([_indices(one, 2.0 * noise, equal) for one in drawn], axis=0, ddof=1)
-    sigma = np.where(np.isnan(estimated), np.nan, np.sqrt(variance))
+    sigma = np.where(np.isfinite(estimated) & are_known, np.sqrt(variance), np.nan)
     return estimated[0], sigma[0], estimated[1], sigma[1]
 
 

@@ -35,22 +35,24 @@ WORST_POINTS = 3  # how many points have their components shown
 STEP = "step"  # the attribute of places on an axis that have no errors: that of the axis, which says their digits
 LEAST_SHARE = 1.0  # of a result, in percent, that a sentence names
 
-Columns = Mapping[str, tuple[Any, str, str]]
-"""By the names of variables their values, unit and meaning."""
+Meanings = Mapping[str, tuple[str, str]]
+"""By the names of variables their unit and meaning; those of NAME say what NAME_error is."""
 
 
 def derived(
-    grid: xr.Dataset, dims: Sequence[str], columns: Columns, shown: Sequence[str], notes: Sequence[str], **about: Any
+    grid: xr.Dataset, dims: Sequence[str], columns: Mapping[str, Any], meanings: Meanings, shown: Sequence[str]
 ) -> xr.Dataset:
     """Return a dataset over the dimensions of a grid with ``columns`` of values in C order, of which some are
     ``shown`` in tables, in this order.
     """
     shape, variables = [grid.sizes[d] for d in dims], {}
-    for name, (values, unit, meaning) in columns.items():
+    for name, values in columns.items():
+        unit, meaning = meanings[whole := name.removesuffix("_error")]
+        meaning = meaning if name == whole else f"one-sigma error of {whole}"
         rank = {"headline": shown.index(name) + 1} if name in shown else {}
         array = np.array(values, dtype=object if name == "conclusion" else float).reshape(shape)
         variables[name] = tuple(dims), array, formatting.described(unit, meaning) | rank
-    return grid.assign(variables).assign_attrs(**about, notes=json.dumps(list(notes)))
+    return grid.assign(variables)
 
 
 def headline(result: xr.Dataset) -> list[str]:

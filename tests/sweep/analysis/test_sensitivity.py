@@ -24,7 +24,7 @@ BOX = {name: [-PI, PI] for name in ("x1", "x2", "x3")}
 BOREHOLE = {"rw": [0.05, 0.15], "r": [100.0, 50_000.0], "tu": [63_070.0, 115_600.0], "hu": [990.0, 1110.0]}
 BOREHOLE |= {"tl": [63.1, 116.0], "hl": [700.0, 820.0], "length": [1120.0, 1680.0], "kw": [9855.0, 12_045.0]}
 A_TIMES_B = np.arange(5.0)[:, None] + 2.0 * np.arange(5.0) + 0.3 * np.outer(np.arange(5.0), np.arange(5.0))
-WITHOUT_NOISE = indices_of_grid(A_TIMES_B, None, [False, False])[::2]
+WITHOUT_NOISE = indices_of_grid(A_TIMES_B, 0.0, [False, False])[::2]
 
 
 def ishigami(x1: float, x2: float, x3: float):
