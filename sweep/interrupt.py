@@ -4,10 +4,11 @@ import gc
 import signal
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import Any, NoReturn
+from typing import Any
 
 SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 
@@ -59,7 +60,7 @@ class Interruptions:
         dropped = self.received is not None and sys.exc_info()[0] is None
         if (self._owed or dropped) and not before:
             self._owed = False
-            self._interrupt()
+            raise KeyboardInterrupt
 
     def watch(self) -> None:
         """Begin to handle signals."""
@@ -86,35 +87,23 @@ class Interruptions:
             signal.signal(number, self._before.pop(number))
             signal.raise_signal(number)
             return
+        if self.received is None:
+            threading.Thread(target=self._send_again, args=(number,), daemon=True).start()
         self.received, self._lost, self._owed = number, False, self._holding
-        if self._holding:
-            return
-        if _is_called_by_the_collector(frame):
-            self._look_later()
-        else:
-            self._interrupt()
+        if not self._holding and not _is_called_by_the_collector(frame):
+            raise KeyboardInterrupt
 
-    def _interrupt(self) -> NoReturn:
-        self._look_later()
-        raise KeyboardInterrupt
-
-    def _look_later(self) -> None:
-        later = threading.Timer(LOST_S, self._look)
-        later.daemon = True
-        later.start()
-
-    def _look(self) -> None:
-        """Send the signal again unless the main thread is handling an exception, in an except, a finally or a with."""
-        main = threading.main_thread().ident
-        assert main is not None
-        with self._deciding:
-            if not self._watching or self.received is None:
-                return
-            if _is_handling(main):
-                self._look_later()
-            else:
-                self._lost = True
-                signal.pthread_kill(main, self.received)
+    def _send_again(self, number: int) -> None:
+        """Send a signal again and again, but not while the main thread is handling an exception, in an except, a
+        finally or a with, or postpones what it does.
+        """
+        main = threading.main_thread().ident or 0
+        while self._watching:
+            time.sleep(LOST_S)
+            with self._deciding:
+                if self._watching and not (self._holding or self._lost or _is_handling(main)):
+                    self._lost = True
+                    signal.pthread_kill(main, number)
 
     def _unraisable(self, what: Any) -> None:
         """Report nothing when Python drops an interrupt."""
