@@ -71,19 +71,18 @@ def unit_of(dataset: xr.Dataset, derived: Slope | Ratio | Reading) -> str:
     """Return the unit of a result, or of its component where these differ; '' for a result that is not there, and
     for ratios and slopes.
     """
-    if not isinstance(derived, Reading) or _problem(dataset, derived.variable, derived.component):
-        return ""
-    return quantity.units_along(_of_component(dataset, derived), derived.variable, [])[0]
+    part, problem = _part_with(dataset, derived.variable, derived.component)
+    is_reading = isinstance(derived, Reading) and not problem
+    return quantity.units_along(part, derived.variable, [])[0] if is_reading else ""
 
 
 def measure(dataset: xr.Dataset, claim: Derived, derived: Slope | Ratio | Reading) -> Iterator[Measured]:
     """Yield our number at every place that a claim is about; raises OutsideGridError for one that is not there."""
     name = derived.variable
-    if problem := _problem(dataset, name, derived.component):
+    part, problem = _part_with(dataset, name, derived.component)
+    if problem:
         yield Measured(claim.where, missing=problem)
-        return
-    part = _of_component(dataset, derived)
-    if isinstance(derived, Slope):
+    elif isinstance(derived, Slope):
         from linksweep.sweep.analysis import laws  # of the three only this is fitted
 
         if derived.over not in dataset.coords:
@@ -103,28 +102,22 @@ def measure(dataset: xr.Dataset, claim: Derived, derived: Slope | Ratio | Readin
             yield one
 
 
-def _problem(dataset: xr.Dataset, name: str, component: str | float | None = None) -> str:
-    """Return why a result, or a component of one, is not a number at each point; '' if it is."""
+def _part_with(dataset: xr.Dataset, name: str, component: str | float | None = None) -> tuple[xr.Dataset, str]:
+    """Return the part where a result is one number at each point, which is that of its component if it has any, and why
+    there is none, '' if there is.
+    """
     if name not in dataset:
-        return f"{name} is not a result of this store" if Status.DONE in dataset["status"].values else NOT_DONE
-    dims, labels = quantity.own_dimensions(dataset, name), _components(dataset, name)
+        is_begun = Status.DONE in dataset["status"].values
+        return dataset, f"{name} is not a result of this store" if is_begun else NOT_DONE
+    dims = quantity.own_dimensions(dataset, name)
     if dataset[name].dtype.kind not in "biuf" or len(dims) > 1:
-        return f"{name} is neither one number at each point nor one for each component"
-    wanted = f"one of {first_of(labels, FEW)}" if labels else "left out"
-    is_there = any(quantity.is_meant(label, component) for label in labels) if labels else component is None
-    return "" if is_there else f"the component of {name} must be {wanted}"
-
-
-def _components(dataset: xr.Dataset, name: str) -> list[Any]:
-    return [label for dim in quantity.own_dimensions(dataset, name) for label in dataset[dim].values]
-
-
-def _of_component(dataset: xr.Dataset, derived: Slope | Ratio | Reading) -> xr.Dataset:
-    if derived.component is None:
-        return dataset
-    (dimension,) = quantity.own_dimensions(dataset, derived.variable)
-    labels = _components(dataset, derived.variable)
-    return dataset.isel({dimension: next(i for i, x in enumerate(labels) if quantity.is_meant(x, derived.component))})
+        return dataset, f"{name} is neither one number at each point nor one for each component"
+    labels = [label for dim in dims for label in dataset[dim].values]
+    meant = [i for i, label in enumerate(labels) if quantity.is_meant(label, component)]
+    if not meant and (labels or component is not None):
+        wanted = f"one of {first_of(labels, FEW)}" if labels else "left out"
+        return dataset, f"the component of {name} must be {wanted}"
+    return dataset.isel(dict(zip(dims, meant, strict=False))), ""
 
 
 def _fixed(dataset: xr.Dataset, where: Mapping[str, Any]) -> dict[str, int]:
@@ -223,6 +216,7 @@ def _published_numbers(dataset: xr.Dataset) -> Iterator[Comparison]:
     """Yield the comparisons of NAME with NAME_published, point by point."""
     for name in (n for n in map(str, dataset.data_vars) if f"{n}_published" in dataset):
         table, unit = dataset[f"{name}_published"], units_of(dataset[name].attrs)
+        _, problem = _part_with(dataset, name)
         about = _about(dataset, name, name, unit, str(table.attrs["source"]))
         is_mean = quantity.standard_error(dataset, name) is not None
         is_count = dataset[name].dtype.kind in "iu" or not (is_mean or unit or FUNCTION in dataset.attrs)
@@ -230,8 +224,7 @@ def _published_numbers(dataset: xr.Dataset) -> Iterator[Comparison]:
         for index in np.argwhere(np.isfinite(table.values)):
             here = dict(zip(map(str, table.dims), map(int, index), strict=True))
             number, rounding = float(table[here]), float(dataset[f"{name}_published_rounding"][here])
-            problem = _problem(dataset, name)
-            ((_, ours),) = [({}, Measured({}, missing=problem))] if problem else _values(dataset, name, here)
+            ours = Measured({}, missing=problem) if problem else next(_values(dataset, name, here))[1]
             is_exact = is_count and rounding == 0.5 and number.is_integer()
             yield judged(about, ours, number, 0.0 if is_exact else rounding, Rule() if is_exact else rule)
         if table.attrs.get("outside_grid") and not np.isfinite(table.values).any():
@@ -281,8 +274,7 @@ def judged(about: Mapping[str, Any], ours: Measured, number: float, rounding: fl
     allowance, allowed = rounding + MC_ERRORS_ALLOWED * ours.error, tolerance * abs(number)
     detectable = allowance + allowed + FINDS * ours.error
     off = abs(ours.value - number) - ARITHMETIC * abs(number)
-    limits = [MOST_UNSEEN * abs(number)] if number else []
-    most = min([*limits, *([] if null is None else [abs(number - null)])], default=math.inf)
+    most = min(MOST_UNSEEN * abs(number) if number else math.inf, math.inf if null is None else abs(number - null))
     apart = f"more than {most:.3g}, which the verdict must find"
     passes, passing = rounding + allowed, f"our Monte-Carlo error lets pass a deviation of {detectable:.3g}, {apart}"
     cases: list[tuple[bool, Verdict, str]] = [  # the first that is true

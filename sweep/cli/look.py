@@ -133,7 +133,7 @@ class Drawing:
     models: At = many("Accuracy: only this mission; may be given several times.", "--model")
     at: At = AT
 
-    def require_choices(self) -> None:
+    def __post_init__(self) -> None:
         """Raise click.UsageError for options that do not go with the kind."""
         if self.source is None and self.kind != "accuracy":
             raise click.UsageError("name the store to draw; only --kind accuracy is drawn without one")
@@ -191,7 +191,6 @@ def plot(
     sweep plot tie.zarr --kind residuals -o residuals.png
     """
     styles = cli.drawing_styles()
-    drawn.require_choices()
     path = output or Path(Path(drawn.source or "accuracy").stem + ".png")
     # Before a large store is read and drawn.
     styles.require_format(path)
@@ -220,7 +219,7 @@ class AskedStores:
     resources: Resources = cli.group(resources)
     watching: Watching = cli.group(Watching)
 
-    def require_either(self) -> None:
+    def __post_init__(self) -> None:
         """Raise click.UsageError unless there are either stores or --all, and for options of --all without it."""
         if self.everything == bool(self.stores):
             raise click.UsageError("name stores, or give --all")
@@ -276,7 +275,6 @@ def report(
         from linksweep.sweep.report.page import check_output, default_path, report_of, write_report
     except ImportError as error:
         raise click.UsageError(f"a report needs more packages: pip install 'linksweep[report]' ({error})") from error
-    asked.require_either()
     path = output or (Path("paper-report.html") if asked.everything else default_path(asked.stores))
     check_output(path)
     write_report(report_of(asked.whole()), path)
@@ -396,7 +394,6 @@ def compare(
     table_format = json_or(table_format, as_json)
     from linksweep.sweep.analysis import compare as verdicts
 
-    asked.require_either()
     comparisons, remarks = [], []
     for store in asked.whole(published=True):
         with part_of(store, ()) as dataset:

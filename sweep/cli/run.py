@@ -757,7 +757,7 @@ class Target:
     )
     as_json: bool = JSON
 
-    def check(self) -> None:
+    def __post_init__(self) -> None:
         """Raise an error unless a store can be written and figures be drawn, before anything is computed."""
         if self.output is not None:
             cli.require_writable(self.output)
@@ -801,8 +801,6 @@ def tie(
     """
     from linksweep.sweep.tie.link import MisfitError
 
-    # Before millions of rows are matched.
-    target.check()
     shown = target.as_json or target.output is not None or target.figures is not None
     asked = _with_more(asked, more_epochs) | {"per_source": shown and not no_sources}
     try:
@@ -826,7 +824,6 @@ def forecast(
     \b
     sweep forecast gaia.fits vlbi.ecsv --add 2026,2030 --choose 5 --for spin
     """
-    target.check()
     target.put(linksweep.forecast(satellite, reference, **_with_more(asked, more_epochs)))
 
 
