@@ -398,7 +398,7 @@ class Pending:
     """
 
     def __init__(self, plan: Plan, accumulator: Accumulator) -> None:
-        self._plan, self._accumulator, self.most_blocks = plan, accumulator, TUNED.most_blocks
+        self._plan, self._accumulator = plan, accumulator
         self._known: deque[Work] = deque()  # comes before all other work
         self._added: deque[Work] = deque()
         self._fresh = self._in_turns()
@@ -417,11 +417,12 @@ class Pending:
                 self._added.append(work)
             self._left += work.cost
 
-    def take(self, count: int) -> list[list[Work]]:
-        """Return up to ``count`` tasks' work."""
+    def take(self, count: int, most_blocks: int | None = None) -> list[list[Work]]:
+        """Return up to ``count`` tasks' work, of at most so many blocks each."""
         self._begun = True
+        most = min(most_blocks or TUNED.most_blocks, TUNED.most_blocks)
         tasks: list[list[Work]] = []
-        while len(tasks) < count and (task := self._task()):
+        while len(tasks) < count and (task := self._task(most)):
             tasks.append(task)
             self._tasks_out += 1
         return tasks
@@ -448,10 +449,10 @@ class Pending:
             self._measured_s = kept * self._measured_s + float(seconds[skipped:].sum())
         return list(works[:done])
 
-    def _task(self) -> list[Work]:
+    def _task(self, most_blocks: int) -> list[Work]:
         task: list[Work] = []
         cost, most = 0.0, self._task_cost()
-        while len(task) < self.most_blocks and (work := self._next()) is not None:
+        while len(task) < most_blocks and (work := self._next()) is not None:
             if task and cost + work.cost > most:
                 self._known.appendleft(work)
                 break

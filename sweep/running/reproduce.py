@@ -185,8 +185,7 @@ def _alone(study: Study, point: GridPoint, compute: Callable[[Task], TaskResult]
 
     with tempfile.TemporaryDirectory(prefix="linksweep-", ignore_cleanup_errors=True) as folder:
         session = Session.open(Grid(alone), located(Path(folder) / "point.zarr"))
-        session.compute(execute)
-        dataset, failures = session.publish()
+        dataset, failures = session.compute(execute)
         return next(iter(failures.values()), None) or dataset.to_xarray().drop_vars("wall_time").load()
 
 

@@ -645,8 +645,8 @@ def accumulated(
 class Session:
     """A study, its grid, its store and its pending work.
 
-    `open` reads them, `compute` lets an executor do what is pending and keeps it as it comes, and `publish` writes the
-    labelled dataset.  Whoever computes holds the lock of the store; without ``writes`` nothing can be written to it.
+    `open` reads them, and `compute` lets an executor do what is pending, keeps it as it comes, and writes the labelled
+    dataset.  Whoever computes holds the lock of the store; without ``writes`` nothing can be written to it.
     """
 
     def __init__(self, where: Where, accumulator: Accumulator, store: Store | None, is_new: bool) -> None:
@@ -654,8 +654,6 @@ class Session:
         self._where, self.accumulator, self.store, self._is_new = where, accumulator, store, is_new
         self._asked: Study | None = None
         self.is_left_alone = False
-        self._too_many = ""
-        self._writer: Writer | None = None
 
     @classmethod
     def open(
@@ -743,22 +741,27 @@ class Session:
         progress: Progress = SILENT,
         max_failures: MaxFailures | None = None,
         postponed: Callable[[], AbstractContextManager[None]] = nullcontext,
-    ) -> None:
-        """Compute what is pending, and keep it as it comes; end early where more than ``max_failures`` fail.
+    ) -> tuple[Labelled, dict[str, str]]:
+        """Compute what is pending, keep it as it comes, and write the dataset of everything; return the results of the
+        points of the study that was asked for, and its failures by place.
 
         ``postponed`` gives contexts in which interruptions wait.  Raises SweepError for results that are refused, and
-        whatever the executor raises, with everything that was finished in the store.
+        whatever the executor raises, with everything that was finished in the store; TooManyFailuresError, at the end,
+        where more than ``max_failures`` failed.
         """
-        survey = self.survey
+        survey, too_many = self.survey, ""
         total, pending = survey.total.points, survey.pending
         failing = FailureCount(self.study, total, total - pending.points, most=max_failures)
-        writer = self._writer = Writer(self.accumulator, self._begun(progress), postponed)
+        writer = Writer(self.accumulator, self._begun(progress), postponed)
         writer.declared_files = files_read(self.study.experiment_reference)
-        most_blocks = writer.pending.most_blocks
+        study, is_missing, keep = self.study, self.accumulator.is_missing, writer.store.keep
+
+        def take(count: int) -> list[Batch]:
+            tasks = writer.pending.take(count, failing.most_at_once)
+            return [Batch(study, works, is_missing, keep) for works in tasks]
+
         with self._kept(writer):
-            writer.pending.most_blocks = min(failing.most_at_once or most_blocks, most_blocks)
-            study, is_missing, keep = self.study, self.accumulator.is_missing, writer.store.keep
-            results = execute(lambda n: [Batch(study, some, is_missing, keep) for some in writer.pending.take(n)])
+            results = execute(take)
             # A labelled dataset from the start; not an empty one, for which the workers would wait, in a short run.
             short = 256 * TARGET if self._is_new else TARGET
             if pending.blocks and (not study.experiment.says_cost or pending.cost > short):
@@ -775,29 +778,18 @@ class Session:
                         progress.advance(works, result, taken)
                     writer.write_when_due()
                     failing.take(taken.ended, taken.failed, taken.begun)
-                    writer.pending.most_blocks = min(failing.most_at_once or most_blocks, most_blocks)
                     if too_many := failing.too_many():
-                        self._too_many = too_many
                         break
-
-    def publish(self, progress: Progress = SILENT) -> tuple[Labelled, dict[str, str]]:
-        """Write the dataset of everything that was computed; return the results of the points of the study that was
-        asked for, and its failures by place.
-
-        Raises TooManyFailuresError where that was ended early.
-        """
-        writer = self._writer
-        assert writer is not None, "it is computed first"
-        with self._kept(writer):
-            dataset = writer.write(final=not self._too_many)
+            del results  # ends what nobody takes any more
+            dataset = writer.write(final=not too_many)
         writer.require_whole()
-        results = (dataset, writer.failures()) if self._asked is None else self.part()
+        published = (dataset, writer.failures()) if self._asked is None else self.part()
         progress.written()
-        for sentence in json.loads(results[0].attrs["warnings"])[len(writer.plan.grid.warnings) :]:
+        for sentence in json.loads(published[0].attrs["warnings"])[len(writer.plan.grid.warnings) :]:
             progress.say(f"warning: {sentence}")
-        if self._too_many:
-            raise TooManyFailuresError(f"stopped: {self._too_many}; {GOES_ON}", str(writer.store.location))
-        return results
+        if too_many:
+            raise TooManyFailuresError(f"stopped: {too_many}; {GOES_ON}", str(writer.store.location))
+        return published
 
     def _begun(self, progress: Progress) -> Store:
         """Return the store, a new one if need be, which is found whole and says which code continues it."""
@@ -940,5 +932,4 @@ def run_study(
         progress.start(session.survey, place.words, place.workers)
         if place.dashboard:
             progress.say(f"Dask dashboard: {place.dashboard}")
-        session.compute(execute, progress, max_failures, interruptions.postponed)
-        return session.publish(progress)
+        return session.compute(execute, progress, max_failures, interruptions.postponed)
