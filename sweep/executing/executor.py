@@ -18,17 +18,17 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from contextvars import copy_context
 from dataclasses import replace
+from functools import partial
 from itertools import count, islice
 from multiprocessing.connection import Connection, wait
 from pickle import UnpicklingError
 from queue import SimpleQueue
-from threading import Thread
 from typing import IO, Any
 
 from threadpoolctl import threadpool_limits
 
-from linksweep.sweep.code import load_experiment, new_process, provide, sendable, source_digest
-from linksweep.sweep.contract import SweepError
+from linksweep.sweep.code import new_process, provide, sendable, source_digest
+from linksweep.sweep.contract import SweepError, refused
 from linksweep.sweep.executing import worker
 from linksweep.sweep.executing.pools import NO_LIMITS, Limits, Place, Resources, available_cores
 from linksweep.sweep.executing.task import AnyJob, Call, Executor, Failure, Identity, PointBlock, Task, TaskResult
@@ -90,156 +90,95 @@ class Children:
         digest: str | None = None,
         expected: Identity | None = None,
     ) -> None:
-        self._reference, self._limits, self._expected = reference, limits, expected
-        self._digest = digest or source_digest(reference)
-        self._forked = forked and _may_be_forked()
-        self._children: list[_Child] = []
-        self._number = number
-        # Units and the result of a first call that is made again: the last child, beyond the number, does so.
-        self._first: tuple[list[PointBlock], TaskResult] | None = None
+        self._limits, code = limits, (reference, digest or source_digest(reference))
+        self._new = partial(_Child, forked and _may_be_forked(), limits.memory, code, expected)
+        self._children = [self._new() for _ in range(number)]
+        self._second: _Child | None = None  # makes a first call again, beside the others
 
     def __enter__(self) -> "Children":
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_error: object) -> None:
         end = time.monotonic() + (END_S if kind is None else 0.0)
-        for child in self._children:
-            with suppress(OSError):
-                child.channel.send(None)  # one that waits for a task cleans up and ends
-        for child in self._children:
+        children = [*self._children, *filter(None, [self._second])]
+        for child in children:
+            child.send(None)  # one that waits for a task cleans up and ends
+        for child in children:
             child.end(end - time.monotonic())
-
-    def _started(self, number: int) -> "list[_Child]":
-        """Start children; raises SweepError where they do not start or would compute other numbers."""
-        started: list[_Child] = []
-        try:
-            for _ in range(number):
-                started.append(_Child(self._forked))
-            if not self._forked:
-                code = sendable(self._reference, self._digest), self._reference, self._digest
-                expected = self._expected or Identity.here(self._reference, self._digest)
-                for child in started:  # all of them import at the same time
-                    child.prepare(code, expected)
-        except BaseException as error:
-            for child in started:
-                child.end()
-            if isinstance(error, OSError):
-                raise SweepError(f"a child process could not start: {error}") from error
-            raise
-        return started
 
     def __call__(self, take: Callable[[int], Sequence[AnyJob]]) -> Iterator[tuple[AnyJob, Any]]:
         """Compute everything that ``take`` gives."""
 
-        def following() -> tuple[AnyJob, Task | Call] | None:
-            for job in take(1):
+        def tasks(count: int) -> Iterator[tuple[AnyJob, Task | Call]]:
+            for job in take(count):
                 task: Task | Call = job.task(self._limits)
-                return job, replace(task, at_once_s=BESIDE_S) if isinstance(task, Task) else task
-            return None
+                yield job, replace(task, at_once_s=BESIDE_S) if isinstance(task, Task) else task
 
-        return self._results(following)
+        return self._results(tasks)
 
     def run(self, task: Task) -> TaskResult:
         """Compute one task."""
         tasks = [(None, task)]
         result: TaskResult
-        [(_, result)] = self._results(lambda: tasks.pop() if tasks else None)
+        [(_, result)] = self._results(lambda _: [tasks.pop()] if tasks else [])
         return result
 
-    def _results(self, following: Callable[[], tuple[Any, Task | Call] | None]) -> Iterator[tuple[Any, Any]]:
-        under_way: dict[int, tuple[Any, _Trial]] = {}
+    def _results(self, take: Callable[[int], Iterable[tuple[Any, Task | Call]]]) -> Iterator[tuple[Any, Any]]:
+        busy: dict[_Child, Any] = {}  # with their jobs
 
-        def begin(place: int) -> None:
-            if place not in under_way and (new := following()) is not None:
-                if not self._children:  # as late as there is work, and all together: new processes import for a while
-                    self._children = self._started(self._number)
-                if self._children[place].channel.closed:  # of a call that was given up
-                    [self._children[place]] = self._started(1)
-                under_way[place] = new[0], _Trial(new[1])
-                self._send(place, under_way[place][1])
+        def begin(child: _Child) -> None:
+            for job, task in () if child in busy else take(1):
+                for one in self._children:  # as late as there is work, and together: new processes import for a while
+                    one.start()
+                busy[child] = job
+                child.begin(task)
 
         def results() -> Iterator[tuple[Any, Any]]:
             try:
-                while under_way:
-                    for place in self._that_answer(under_way):
-                        job, trial = under_way[place]
-                        self._go_on(place, trial)
-                        if trial.again is not None and self._first is None:  # once in a run is enough
-                            self._first = trial.again
-                            self._children += self._started(1)
-                            under_way[self._number] = job, _Trial(_second(trial.task, self._first[0]))
-                            self._send(self._number, under_way[self._number][1])
-                        if trial.ended and place == self._number:
-                            del under_way[place]
-                            if refused := self._how_it_differs(trial.result()):
-                                yield job, replace(TaskResult.failed(0), refused=refused)
-                        elif trial.ended:
-                            del under_way[place]
-                            if self._number > 1:  # of several none waits while a result is used; one may be the last
-                                begin(place)
-                            yield job, trial.result()
-                    for place in range(self._number):
-                        begin(place)
+                while busy:
+                    for child in self._that_answer(busy):
+                        trial = child.take()
+                        if trial.again is not None and self._second is None:  # once in a run is enough
+                            self._second = self._new()
+                            busy[self._second] = busy[child]
+                            self._second.begin(trial.again)
+                        if not trial.ended:
+                            continue
+                        job, result = busy.pop(child), trial.result()
+                        if child is self._second:
+                            if result.refused:
+                                yield job, result
+                            continue
+                        if len(self._children) > 1:  # of several none waits while a result is used; one may be the last
+                            begin(child)
+                        yield job, result
+                    for child in self._children:
+                        begin(child)
             finally:
-                for place in under_way:  # nobody will take these results
-                    self._children[place].end()
+                for child in busy:  # nobody will take these results
+                    child.end()
 
-        for place in range(self._number):  # now, not when the first result is asked for
-            begin(place)
+        for child in self._children:  # now, not when the first result is asked for
+            begin(child)
         return results()
 
-    def _how_it_differs(self, second: TaskResult) -> str:
-        """Return a sentence if a second call gave other results than the first, '' where it had none to compare."""
-        assert self._first is not None, "there is a second call"
-        units, first = self._first
-        experiment = load_experiment(self._reference, digest=self._digest)
-        raised = [one.message.partition(":")[0] for one in second.failures.values() if one.kind == "exception"]
-        if second.failures and not raised:
-            return ""
-        return worker.how_calls_differ(
-            experiment, units, list(first.outcomes.values()), list(second.outcomes.values()), *raised[:1]
-        )
-
-    def _that_answer(self, places: Any) -> list[int]:
+    def _that_answer(self, busy: Iterable["_Child"]) -> list["_Child"]:
         """Return which children have answered or ended; end those that overfill their memory."""
-        channels = {self._children[place].channel: place for place in places}
+        channels: dict[Any, _Child] = {child.channel: child for child in busy}
         if ready := wait(list(channels), LOOK_EVERY_S):
             return [channels[channel] for channel in ready]
-        for place in places:
-            child = self._children[place]
-            if self._limits.memory and child.memory() > MEMORY_SHARE * self._limits.memory:
-                child.overfull = True
-                child.process.kill()
+        for child in busy:
+            child.end_if_overfull()
         # What a child has started may keep its channel open.
-        return [place for place in places if self._children[place].code(0.0) is not None]
-
-    def _go_on(self, place: int, trial: "_Trial") -> None:
-        """Take a child's answer; where it has ended, find out why, and let another one do what is left."""
-        child = self._children[place]
-        try:
-            if not child.channel.poll():
-                raise EOFError
-            if (answer := child.channel.recv()) is not None:
-                trial.take(answer)
-                return
-        except (EOFError, OSError, UnpicklingError):  # the last where a function has broken what pickle uses
-            trial.after_death(child.death(trial.task.time_limit_s, self._limits.memory))
-            [self._children[place]] = self._started(1)
-        else:
-            trial.ended = not trial.units or (bool(trial.results) and not trial.inside)
-        if not trial.ended:
-            self._send(place, trial)
-
-    def _send(self, place: int, trial: "_Trial") -> None:
-        with suppress(OSError):  # it has ended, as is found out when its answer is waited for
-            self._children[place].channel.send((trial.rest(), trial.careful))
+        return [child for child in busy if child.code(0.0) is not None]
 
 
 class _Trial:
     """A task on its way through children: the ``units`` that have no result yet, and the ``results`` of those before.
 
     ``careful`` is a task of which a child has died, so that each result is to be sent at once: else nobody knows how
-    far it came.  ``inside`` counts the points that are left of a unit which was taken apart.
+    far it came.  ``inside`` counts the points that are left of a unit which was taken apart.  ``again`` is the task of
+    making its first call once more.
     """
 
     def __init__(self, task: Task | Call) -> None:
@@ -247,7 +186,7 @@ class _Trial:
         self.units: deque[Any] = deque(task.units if isinstance(task, Task) else [task])
         self.results: list[Any] = []
         self.careful, self.ended = task.time_limit_s is not None, False
-        self.again: tuple[list[PointBlock], TaskResult] | None = None
+        self.again: Task | None = None
         self.inside = self._deaths = 0
 
     def rest(self) -> Task | Call:
@@ -259,14 +198,16 @@ class _Trial:
         self._deaths = 0
         for result in results:
             self.results.append(result)
-            rows = len(result.seconds) if isinstance(result, TaskResult) else 1
+            if not isinstance(self.task, Task):
+                self.units.clear()
+                continue
+            units, rows = list[PointBlock](), len(result.seconds)
             self.inside = max(0, self.inside - rows)
-            units = []
             while rows > 0:
                 units.append(self.units.popleft())
-                rows -= len(units[-1].points) if isinstance(self.task, Task) else 1
-            if isinstance(result, TaskResult) and result.again:
-                self.again = units, result
+                rows -= len(units[-1].points)
+            if result.again:
+                self.again = replace(self.task, units=tuple(units), first=tuple(result.outcomes.values()))
 
     def after_death(self, death: Failure) -> None:
         """Find out which point has ended a child, and give that up after so many `TRIES`; raises SweepError for a call,
@@ -294,12 +235,6 @@ class _Trial:
         return TaskResult.joined(self.results) if isinstance(self.task, Task) else self.results[0]
 
 
-def _second(task: Task | Call, units: list[PointBlock]) -> Task:
-    """Return the task of calling a function again, with other random numbers if it takes those of the process."""
-    assert isinstance(task, Task), "only functions of points are called again"
-    return replace(task, units=tuple(units), seed=task.seed ^ 1, repeatable=False)
-
-
 def _may_be_forked() -> bool:
     """Return whether a copy of this process can compute: Accelerate on macOS cannot, nor some libraries that the user
     may have computed with.  Python lets no daemonic process have children of this kind.
@@ -309,87 +244,137 @@ def _may_be_forked() -> bool:
 
 
 class _Child:
-    """A process that computes tasks, and the ``channel`` to it: a copy of this one (``forked``), or a new one."""
+    """A process that computes tasks, and the ``channel`` to it: a copy of this one (``forked``), or a new one.  Another
+    one takes its place where it has ended.
+    """
 
-    def __init__(self, forked: bool) -> None:
-        self.channel, theirs = multiprocessing.Pipe()
-        self._words: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed with the child)
-        self.overfull = False
-        # A copy has all pages of this process from the start, which cost nothing and are no need of its blocks.
-        self._inherited = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss if forked else 0
-        self.process: Any
-        if forked:
-            arguments = self.channel, theirs, self._words
-            self.process = multiprocessing.get_context("fork").Process(target=_compute_forked, args=arguments)
-            # A signal that arrives before the child has its own handlers would be answered by those of this process.
-            before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
-            try:
-                # of threads: see `_may_be_forked`
-                with warnings.catch_warnings(action="ignore", category=DeprecationWarning):
-                    self.process.start()
-            finally:
-                signal.pthread_sigmask(signal.SIG_SETMASK, before)
-        else:
-            start = f"from linksweep.sweep.executing.executor import compute_anew; compute_anew({theirs.fileno()})"
-            files: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": self._words, "stderr": self._words}
-            self.process = new_process(start, **files, pass_fds=[theirs.fileno()])
-        theirs.close()
+    def __init__(
+        self, forked: bool, memory_limit: int | None, code: tuple[str, str | None], expected: Identity | None
+    ) -> None:
+        self._forked, self._memory_limit, self._code, self._expected = forked, memory_limit, code, expected
+        self._process: Any = None
+        self._is_open = self._is_ready = False
 
-    def prepare(self, code: tuple[Any, str, str | None], expected: Identity) -> None:
-        """Send a new process the code; raises SweepError where it cannot load that, and where it is not as expected."""
+    def start(self) -> None:
+        """Start a process unless there is one; raises SweepError where it does not start."""
+        if self._is_open:
+            return
+        with refused(OSError, said="a child process could not start: "):
+            self.channel, theirs = multiprocessing.Pipe()
+            self._words: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed with the child)
+            self._is_open, self._is_ready, self._is_overfull = True, self._forked, False
+            # A copy has all pages of this process from the start, which cost nothing and are no need of its blocks.
+            self._inherited = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss if self._forked else 0
+            if self._forked:
+                arguments = self.channel, theirs, self._words
+                self._process = multiprocessing.get_context("fork").Process(target=_compute_forked, args=arguments)
+                # A signal that comes before the child has its own handlers would be answered by those of this process.
+                before = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+                try:
+                    # of threads: see `_may_be_forked`
+                    with warnings.catch_warnings(action="ignore", category=DeprecationWarning):
+                        self._process.start()
+                finally:
+                    signal.pthread_sigmask(signal.SIG_SETMASK, before)
+            else:
+                start = f"from linksweep.sweep.executing.executor import compute_anew; compute_anew({theirs.fileno()})"
+                files: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": self._words, "stderr": self._words}
+                self._process = new_process(start, **files, pass_fds=[theirs.fileno()])
+                self.send((sendable(*self._code), *self._code))
+            theirs.close()
+
+    def begin(self, task: Task | Call) -> None:
+        """Give the process a task."""
+        self._trial = _Trial(task)
+        self._go_on()
+
+    def _go_on(self) -> None:
+        """Send what is left of the task, to another process where this one has ended."""
+        self.start()
+        if self._is_ready:  # else when it is
+            self.send((self._trial.rest(), self._trial.careful))
+
+    def send(self, message: Any) -> None:
+        """Send a message; a process that has ended is noticed when its answer is waited for."""
+        if self._is_open:
+            with suppress(OSError):
+                self.channel.send(message)
+
+    def take(self) -> _Trial:
+        """Take an answer, and return how far the task is; where the process has ended, find out why.
+
+        Raises SweepError for a new process that cannot load the code or has another one.
+        """
+        trial = self._trial
         try:
-            self.channel.send(code)
+            if not self.channel.poll():
+                raise EOFError
             answer = self.channel.recv()
-        except (EOFError, OSError) as error:
-            exit_code, words = self.code(END_S), self._last_words()
-            raise SweepError(f"a child process could not start (exit code {exit_code}): {words}") from error
-        if isinstance(answer, SweepError):
-            raise answer
-        if differ := expected.beside(answer, code[1]).differences(answer):
-            raise SweepError([f"a process started since the run began differs: {text}" for text in differ])
+        except (EOFError, OSError, UnpicklingError):  # the last where a function has broken what pickle uses
+            trial.after_death(self._death(trial.task.time_limit_s))
+        else:
+            if isinstance(answer, list):
+                trial.take(answer)
+                return trial
+            if isinstance(answer, SweepError):
+                raise answer
+            if isinstance(answer, Identity):
+                expected = self._expected or Identity.here(*self._code)
+                if differ := expected.beside(answer, self._code[0]).differences(answer):
+                    raise SweepError([f"a process started since the run began differs: {text}" for text in differ])
+                self._is_ready = True
+            else:  # all that it gives at once
+                trial.ended = not trial.units or (bool(trial.results) and not trial.inside)
+        if not trial.ended:
+            self._go_on()
+        return trial
 
-    def memory(self) -> float:
-        """Return the bytes of memory that the process has taken."""
+    def end_if_overfull(self) -> None:
+        """End a process that has taken more memory than the limit."""
+        if not self._memory_limit:
+            return
         import psutil
 
         with suppress(psutil.NoSuchProcess):
-            return float(psutil.Process(self.process.pid).memory_info().rss) - self._inherited
-        return 0.0
+            taken = psutil.Process(self._process.pid).memory_info().rss - self._inherited
+            if taken > MEMORY_SHARE * self._memory_limit:
+                self._is_overfull = True
+                self._process.kill()
 
     def code(self, patience_s: float) -> int | None:
         """Return the exit code, None where the process has not ended by then."""
-        if isinstance(self.process, subprocess.Popen):
+        if isinstance(self._process, subprocess.Popen):
             with suppress(subprocess.TimeoutExpired):
-                self.process.wait(patience_s)
-            return self.process.returncode
-        self.process.join(patience_s)
-        exit_code: int | None = self.process.exitcode
+                self._process.wait(patience_s)
+            return self._process.returncode
+        self._process.join(patience_s)
+        exit_code: int | None = self._process.exitcode
         return exit_code
 
     def end(self, patience_s: float = 0.0) -> None:
         """End the process unless it ends by itself within so many seconds."""
-        if self.channel.closed:
+        if not self._is_open:
             return
-        if patience_s <= 0.0 or self.code(patience_s) is None:
-            self.process.kill()
+        if self._process is not None and (patience_s <= 0.0 or self.code(patience_s) is None):
+            self._process.kill()
             self.code(END_S)
         self.channel.close()
         self._words.close()
-        if isinstance(self.process, subprocess.Popen) and self.process.stdin is not None:
-            self.process.stdin.close()
+        self._is_open = False
+        if isinstance(self._process, subprocess.Popen) and self._process.stdin is not None:
+            self._process.stdin.close()
 
-    def _last_words(self) -> str:
-        """Return the end of what the process wrote where Python writes before it is ended by a signal."""
-        size = self._words.seek(0, os.SEEK_END)
-        self._words.seek(max(0, size - LAST_WORDS))
-        return self._words.read().decode(errors="replace").strip()
-
-    def death(self, time_limit_s: float | None, memory_limit: int | None) -> Failure:
+    def _death(self, time_limit_s: float | None) -> Failure:
         """Return the failure for which a process that does not answer any more stands, and end it if need be."""
-        code, words = self.code(END_S), self._last_words()
+        code = self.code(END_S)
+        # The end of what it wrote, where Python writes before it is ended by a signal.
+        self._words.seek(max(0, self._words.seek(0, os.SEEK_END) - LAST_WORDS))
+        words = self._words.read().decode(errors="replace").strip()
         self.end()
-        if self.overfull and memory_limit:
-            return Failure("killed", f"needs more than the memory limit of {memory_limit / 1e9:.3g} GB", words)
+        if not self._is_ready:
+            raise SweepError(f"a child process could not start (exit code {code}): {words}")
+        if self._is_overfull and self._memory_limit:
+            return Failure("killed", f"needs more than the memory limit of {self._memory_limit / 1e9:.3g} GB", words)
         if time_limit_s is not None and code == -signal.SIGALRM:
             return Failure.too_long(time_limit_s, words)
         if code is None:
@@ -512,42 +497,33 @@ def processes(reference: str, workers: int, limits: Limits = NO_LIMITS) -> Itera
 @contextmanager
 def threads(_reference: str, workers: int) -> Iterator[tuple[Place, Executor]]:
     """Give an executor on threads of this process."""
-    todo: SimpleQueue[Any] = SimpleQueue()
+    from multiprocessing.pool import ThreadPool  # others would keep Python from ending while they compute
+
+    def compute(job: AnyJob, task: Task | Call) -> tuple[AnyJob, Any]:
+        try:
+            return job, worker.compute(task)
+        except BaseException as error:  # raised again in the thread of the run
+            return job, error
 
     def execute(take: Callable[[int], Sequence[AnyJob]]) -> Iterator[tuple[AnyJob, Any]]:
-        done: SimpleQueue[tuple[AnyJob, Any, BaseException | None]] = SimpleQueue()
+        done: SimpleQueue[tuple[AnyJob, Any]] = SimpleQueue()
         under_way = 0
         while True:
             # One job more than threads, so that none waits while the results of another are used.
             for job in take(workers + 1 - under_way):
                 # A new thread has none of the context variables that are set here.
-                todo.put((job, copy_context().run, job.task(), done))
+                pool.apply_async(copy_context().run, (compute, job, job.task()), callback=done.put)
                 under_way += 1
             if not under_way:
                 return
-            job, result, error = done.get()
+            job, result = done.get()
             under_way -= 1
-            if error is not None:
-                raise error
+            if isinstance(result, BaseException):
+                raise result
             yield job, result
 
-    def work() -> None:
-        for job, in_context, task, done in iter(todo.get, None):
-            try:
-                done.put((job, in_context(worker.compute, task), None))
-            except BaseException as error:  # raised again in the thread of the run
-                done.put((job, None, error))
-
-    with threadpool_limits(1):
-        for _ in range(workers):
-            Thread(target=work, daemon=True).start()  # Python would wait for others at its end
-        try:
-            yield Place(f"on {workers} local {'thread' if workers == 1 else 'threads'}", workers), execute
-        finally:
-            while not todo.empty():  # nobody will take these results
-                todo.get()
-            for _ in range(workers):
-                todo.put(None)
+    with threadpool_limits(1), ThreadPool(workers) as pool:
+        yield Place(f"on {workers} local {'thread' if workers == 1 else 'threads'}", workers), execute
 
 
 @contextmanager

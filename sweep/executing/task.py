@@ -98,7 +98,8 @@ class Task:
     ``enough_s`` seconds, if that is more than `sweep.executing.worker.ENOUGH_S`, a worker returns what it has.
     ``time_limit_s`` is for a block of one point; with it the process must be one that may be ended.  A
     ``repeatable`` experiment is to return the same results whenever it is called: it is called again at its first
-    point, by the same process only where that took at most ``at_once_s`` seconds.  With ``caught`` false what it raises
+    point, by the same process only where that took at most ``at_once_s`` seconds, else by one that gets the ``first``
+    results.  With ``caught`` false what it raises
     is raised, and what it prints is printed.  ``keep`` takes all outcomes, to write what is large, before they are
     sent.  ``errors`` of NumPy and ``decimals`` are treated as in the thread of the run, since each thread has its own
     setting.
@@ -113,6 +114,7 @@ class Task:
     enough_s: float = 0.0
     repeatable: bool = False
     at_once_s: float = float("inf")
+    first: tuple[Outcome, ...] = ()
     caught: bool = True
     keep: Keep = dict
     errors: Mapping[str, Any] = field(default_factory=np.geterr)

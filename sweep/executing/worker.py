@@ -324,6 +324,10 @@ def run_units(task: Task, deadlines: Deadlines, apart: bool = False) -> Iterator
     its other blocks would too, and the rest is given out again.
     """
     begun, computing = time.monotonic(), _Computing(task, deadlines)
+    if task.first:
+        with captured():  # what a second call says was said by the first
+            yield TaskResult(np.zeros(0), refused=computing.how_calls_differ(task.units, task.first))
+        return
     caller = computing.who, threading.get_ident()
     for result in computing.results(apart):
         result.cold = caller not in _called and float(result.seconds[0]) < IMPORTS_S
@@ -471,34 +475,29 @@ class _Computing:
         if seconds > self.task.at_once_s:
             result.again = True
             return
+        result.refused = self.how_calls_differ(units, first)
+
+    def how_calls_differ(self, units: Sequence[PointBlock], first: Sequence[Outcome]) -> str:
+        """Call the function again at the points of some units; return a sentence if it then gives other results than
+        the ``first``, or raises an exception, '' if it gives the same.
+        """
         points = [self.experiment.defaults() | unit.points[0] for unit in units]
         # Other random numbers than at first, if it takes those of the process.
         again = self._outcomes(units[0], len(points), lambda: self.experiment.compute(points, 1, ()), turn=1)
         if isinstance(again, TimeLimitError):
-            return
-        second, raised = ([], type(again).__name__) if isinstance(again, BaseException) else (again, "")
-        result.refused = how_calls_differ(self.experiment, units, first, second, raised)
-        if not result.refused:
+            return ""
+        if isinstance(again, BaseException):
+            how = f"and then raises {type(again).__name__}"
+        else:
+            # What is large of the first results was written before they were sent here.
+            again = [*self.task.keep(dict(enumerate(again))).values()] if self.task.first else again
+            how = next(filter(None, map(_difference, first, again)), "")
+        if not how:
             _agreed.add(self.who)
-
-
-def how_calls_differ(
-    experiment: Experiment,
-    units: Sequence[PointBlock],
-    first: Sequence[Outcome],
-    again: Sequence[Outcome],
-    raised: str = "",
-) -> str:
-    """Return a sentence if a second call at the points of some units gave other results than the first, or ``raised``
-    an exception; '' if it gave the same.
-    """
-    how = f"and then raises {raised}" if raised else next(filter(None, map(_difference, first, again)), "")
-    if not how:
-        return ""
-    point = experiment.defaults() | units[0].points[0]
-    place = ", ".join(f"{name} = {shown(value)}" for name, value in point.items()) or "its only point"
-    many = f" and {len(units) - 1:,} more" if len(units) > 1 else ""
-    return f"{experiment.name}: called twice at {place}{many}, it returns a result {how}. {WHAT_TO_DO}"
+            return ""
+        place = ", ".join(f"{name} = {shown(value)}" for name, value in points[0].items()) or "its only point"
+        many = f" and {len(units) - 1:,} more" if len(units) > 1 else ""
+        return f"{self.experiment.name}: called twice at {place}{many}, it returns a result {how}. {WHAT_TO_DO}"
 
 
 def alike(units: Sequence[PointBlock]) -> Iterator[tuple[PointBlock, ...]]:
