@@ -28,15 +28,14 @@ SoFar = tuple[Rows, int, int]
 
 @dataclass(slots=True)
 class _Round:
-    """The parts of a point that are being added, block by block in order; blocks that arrive early wait.  ``reached``
-    says whether the parts before them reach the precision.  ``so_far`` is what was added when all catalogues begun had
-    equally many realisations last: a row, (1,), its realisations and its catalogues.
+    """The ``blocks`` of a point that are being added in their order, of which so many are ``added``; those that arrive
+    early wait.  ``reached`` says whether the parts before them reach the precision.  ``so_far`` is what was added when
+    all catalogues begun had equally many realisations last: a row, (1,), its realisations and its catalogues.
     """
 
-    parts: range
-    group: int = 0
-    part: int = 0
-    early: dict[tuple[int, int], tuple[Rows, Array | None]] = field(default_factory=dict)
+    blocks: Sequence[Block]
+    added: int = 0
+    early: dict[Block, tuple[Rows, Array | None]] = field(default_factory=dict)
     kept: list[Array] = field(default_factory=list)
     reached: bool = False
     so_far: SoFar | None = None
@@ -130,15 +129,14 @@ class Accumulator:
             some = indices[start : start + AT_ONCE]
             digests = self.plan.grid.digests(some)
             rows = self._rows.find([digest + of_block for digest in digests])
-            failed, wanted = _among(digests, self._failed), _among(digests, self._only or ())
-            done = ~failed & (rows >= 0)
+            there, failed = rows >= 0, _among(digests, self._failed)
+            done, missing = there & ~failed, ~there & ~failed & (self._only is None or _among(digests, self._only))
             self.status[some] = np.select([failed, done], [int(Status.FAILED), DONE], MISSING)
-            self.realisations[some] = np.where(rows >= 0, block.realisations, 0)
-            self.seconds[some[rows >= 0]] = self._seconds[rows[rows >= 0]]
+            self.realisations[some] = np.where(there, block.realisations, 0)
+            self.seconds[some[there]] = self._seconds[rows[there]]
             self._put(some[done], ledger[rows[done]])
-            missing = ~failed & ~done & (wanted if self._only is not None else True)
-            stored, pending = stored + int((rows >= 0).sum()), pending + int(missing.sum())
-            total += int((missing | failed | (rows >= 0)).sum()) if self._only is not None else len(some)
+            stored, pending = stored + int(there.sum()), pending + int(missing.sum())
+            total += int((missing | failed | there).sum())
         whole = self.plan.size
         return Survey(whole(1.0, total), whole(1.0, stored), whole(1.0, pending))
 
@@ -208,33 +206,27 @@ class Accumulator:
         # where other parts of the study have blocks of a point, it is added up when they are merged
         if not self.is_missing(index) or (self._share is not None and self._share[index] is not None):
             return []
-        cost = self.plan.cost(point.parameters)
-        round_ = self._rounds.get(index)
+        cost, round_ = self.plan.cost(point.parameters), self._rounds.get(index)
         if round_ is None:
-            round_ = self._rounds[index] = _Round(self.plan.parts_of(point))
-        if (block.group, block.part) != (round_.group, round_.part):
-            round_.early[block.group, block.part] = row, kept
-            return []
-        ready: tuple[Rows, Array | None] | None = (row, kept)
-        while ready is not None:
-            self.total[index : index + 1] = self.reducer.add(self.total[index : index + 1], ready[0])
-            if ready[1] is not None and self.reducer.samples_width:
-                round_.kept.append(ready[1])
-            round_.part += 1
-            if round_.part == round_.parts.stop:
-                round_.part = round_.parts.start
-                round_.group += 1
-            self._note_so_far(index, cost, round_)
-            ready = round_.early.pop((round_.group, round_.part), None) if round_.early else None
-        return self._finish_round(point, cost, round_) if round_.group == self.plan.groups(cost) else []
+            round_ = self._rounds[index] = _Round(self.blocks(point))
+        round_.early[block] = row, kept
+        while round_.added < len(round_.blocks) and (next_one := round_.blocks[round_.added]) in round_.early:
+            row, kept = round_.early.pop(next_one)
+            self.total[index : index + 1] = self.reducer.add(self.total[index : index + 1], row)
+            if kept is not None and self.reducer.samples_width:
+                round_.kept.append(kept)
+            round_.added += 1
+            self._note_so_far(index, cost, round_, next_one)
+        return self._finish_round(point, cost, round_) if round_.added == len(round_.blocks) else []
 
-    def _note_so_far(self, index: int, cost: float, round_: _Round) -> None:
-        """Keep what was added if all catalogues begun have equally many realisations: their errors need that."""
-        first, last, group = round_.parts.start, round_.parts.stop, round_.group
-        if (group and round_.part != first) or (first and group < self.plan.groups(cost) > 1):
+    def _note_so_far(self, index: int, cost: float, round_: _Round, block: Block) -> None:
+        """Keep what was added up to a block if all catalogues begun have equally many realisations: their errors need
+        that.
+        """
+        first, last = round_.blocks[0].part, round_.blocks[-1]
+        if (block.group and block.part != last.part) or (first and last.group and round_.added < len(round_.blocks)):
             return
-        n_sim = self.plan.realisations(cost, last if group else round_.part)
-        n_cat = min(self.plan.grid.study.sampling.n_cat, max(1, group) * self.plan.block_shape(cost)[1])
+        n_sim, n_cat = self.plan.realisations(cost, block.part + 1), block.first_catalogue + block.n_cat
         round_.so_far = self.total[index : index + 1].copy(), n_sim * n_cat, n_cat
 
     def so_far(self) -> dict[int, SoFar]:
@@ -290,21 +282,20 @@ class Accumulator:
         """Return the blocks of a point's current round."""
         if self._share is not None and (share := self._share[point.index]) is not None:
             return share
-        round_ = self._rounds.get(point.index)
-        parts = self.plan.parts_of(point) if round_ is None else round_.parts
-        return self.plan.blocks(self.plan.cost(point.parameters), parts)
+        if (round_ := self._rounds.get(point.index)) is not None:
+            return round_.blocks
+        return self.plan.blocks(self.plan.cost(point.parameters), self.plan.parts_of(point))
 
     def _finish_round(self, point: GridPoint, cost: float, round_: _Round) -> list[Block]:
         """Mark a point as done, or begin another round if its precision needs one."""
-        parts, kept = round_.parts.stop, round_.kept
+        parts, kept = round_.blocks[-1].part + 1, round_.kept
         total = self.total[point.index : point.index + 1]
         if kept:
             total[:] = self.reducer.close(total, np.concatenate(kept))
         wanted, reached = self.plan.wanted_parts(cost, parts, total, round_.reached)
         if wanted > parts:
-            more = _Round(range(parts, wanted), part=parts, kept=kept, reached=reached, so_far=round_.so_far)
-            self._rounds[point.index] = more
-            return list(self.blocks(point))
+            round_.blocks, round_.added, round_.reached = self.plan.blocks(cost, range(parts, wanted)), 0, reached
+            return list(round_.blocks)
         del self._rounds[point.index]
         self.status[point.index], self.is_coarse[point.index] = Status.DONE, not reached
         return []
@@ -326,7 +317,7 @@ def _cost_together(groups: Groups) -> float:
 
 def _among(digests: Sequence[bytes], some: Collection[bytes]) -> NDArray[np.bool_]:
     """Return which of the digests are among some."""
-    return np.array([digest in some for digest in digests], dtype=bool) if some else np.zeros(len(digests), dtype=bool)
+    return np.array([digest in some for digest in digests], dtype=bool)
 
 
 # Seconds of work that a task aims at.
@@ -403,23 +394,18 @@ class Pending:
         self._added: deque[Work] = deque()
         self._fresh = self._in_turns()
         self._left = accumulator.survey.pending.cost
-        self._begun = self._warm = False
+        self._warm = False
         self._tasks_out = 0
         self._measured_cost = self._measured_s = 0.0
 
     def add(self, works: Iterable[Work]) -> None:
-        """Add work that results have shown to be needed; it comes when all points have had what they need at first.
-
-        Before the first `take` only its cost is counted: it is found then with all other work that is missing.
-        """
+        """Add work that results have shown to be needed; it comes when all points have had what they need at first."""
         for work in works:
-            if self._begun:
-                self._added.append(work)
+            self._added.append(work)
             self._left += work.cost
 
     def take(self, count: int, most_blocks: int | None = None) -> list[list[Work]]:
         """Return up to ``count`` tasks' work, of at most so many blocks each."""
-        self._begun = True
         most = min(most_blocks or TUNED.most_blocks, TUNED.most_blocks)
         tasks: list[list[Work]] = []
         while len(tasks) < count and (task := self._task(most)):
