@@ -13,7 +13,7 @@ import reprlib
 import sys
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, field
 from decimal import Context, Decimal
 from fractions import Fraction
@@ -67,6 +67,11 @@ def refused(*errors: type[Exception], said: str = "", where: object = "") -> Ite
         yield
     except errors as error:
         raise SweepError(f"{said}{error}", str(where)) from error
+
+
+def needed(package: str, extra: str, where: object = "") -> AbstractContextManager[None]:
+    """Turn the error of an import into a SweepError about a place that says which of our extras brings the package."""
+    return refused(ImportError, said=f"needs {package}: pip install 'linksweep[{extra}]': ", where=where)
 
 
 class _Short(reprlib.Repr):

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 from uuid import uuid4
 
-from linksweep.sweep.contract import SweepError
+from linksweep.sweep.contract import SweepError, needed
 
 if TYPE_CHECKING:
     from obstore.store import S3Store
@@ -493,11 +493,8 @@ def located(where: Where) -> Location:
         if match is None or any(part in ("", ".", "..") for part in match["prefix"].split("/")):
             rule = "with a bucket of 3 to 63 small letters, digits, dots and dashes, and no //, /./, /../ or line break"
             raise SweepError(f"cannot be a store: its address must be s3://BUCKET/NAME, {rule}", address)
-        try:
+        with needed("obstore", "s3", address):
             import obstore  # noqa: F401 (only to see whether it is there)
-        except ImportError as error:
-            missing = f"stores in a bucket need obstore: pip install 'linksweep[s3]' ({error})"
-            raise SweepError(missing, address) from error
         return Bucket(match["bucket"], match["prefix"])
     scheme, separator, _ = address.partition(":/")
     if separator and "/" not in scheme:

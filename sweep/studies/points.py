@@ -9,7 +9,7 @@ import math
 import re
 import warnings
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from decimal import Context, Decimal
@@ -31,6 +31,7 @@ from linksweep.sweep.contract.experiment import (
     factor_between,
     is_quantity,
     name_problem,
+    needed,
     quantity_of,
     refused,
     rescaled,
@@ -68,7 +69,14 @@ MAX_PROBLEMS = 20
 KeyPath = tuple[str | int, ...]
 """Keys and indices that lead to a value of the document."""
 
-Cells = Mapping[str, list[Any]]
+Cells = dict[str, list[Any]]
+
+
+class Column(NamedTuple):
+    """A column of a table: its cells, None where one is missing, and their unit, '' for none."""
+
+    cells: list[Any]
+    unit: str = ""
 
 
 def _lines_of_keys(text: str) -> dict[KeyPath, int]:
@@ -146,12 +154,10 @@ class Values:
             if parameter.kind not in ("file", "files"):
                 return value
             folder = Path.cwd() if place[:2] in self.problems.options else self.folder
-            try:
+            with self.problems.at(place, f"{which}{shown(raw)}: "):  # tables do not name their file in a problem
                 if parameter.kind == "files":
                     return tuple((key, table_file(folder / path)) for key, path in value)
                 return table_file(folder / value)
-            except SweepError as error:  # which does not name the file in its problems
-                raise ValueError(f"{shown(raw)}: {'; '.join(error.problems)}") from error
         return None
 
     def _parameter(self, name: str) -> Parameter:
@@ -221,7 +227,7 @@ def without_unit(value: Any, parameter: Parameter) -> Any:
     """Return what carries a unit as `in_unit` does, anything else as it is."""
     if type(value) in PLAIN_TYPES or not has_unit(value):
         return value
-    numbers = in_unit(columns_of({"": value})[0][""], unit_of(value), parameter)
+    numbers = in_unit(*column_of(value), parameter)
     return numbers if np.ndim(value) else numbers[0]
 
 
@@ -455,10 +461,8 @@ DESIGNS: Mapping[str, Design] = {
 
 def salib(module: str) -> Any:
     """Return a module of SALib; raises SweepError unless it can be imported."""
-    try:
+    with needed("SALib", "sensitivity"):
         return import_module(f"SALib.{module}")
-    except ImportError as error:
-        raise SweepError("needs SALib, which is not installed: pip install 'linksweep[sensitivity]'") from error
 
 
 def unit_cube(dimensions: int) -> dict[str, Any]:
@@ -482,99 +486,96 @@ def remarks(origin: Mapping[str, Any]) -> list[str]:
 def read_points(
     form: Form, values: Values, code: Code
 ) -> tuple[dict[str, tuple[Value, ...] | None], PointTable | None]:
-    """Return the values of a table of points by parameter, empty where anything is wrong with it, and what is known of
-    it; the problems of ``values`` say what is wrong.
+    """Return the values of a table of points by parameter, and what is known of it; nothing where anything is wrong,
+    which the problems of ``values`` say.
     """
-    if form.points is None:
+    experiment, problems, asked = values.experiment, values.problems, form.points
+    if asked is None:
         return {}, None
-    experiment, problems = values.experiment, values.problems
     if POINT in {*experiment.defaults(), *(output.name for output in experiment.outputs), *experiment.coordinates}:
         problems.add(("points",), f"{experiment.name} has a {POINT!r} of its own, the name of this dimension")
-    settings = {n: v for n, v in {**experiment.defaults(), **form.fixed}.items() if n not in form.axes}
-    columns, table = _written(form.points, values, settings, code)
+    before = len(problems.sentences)
+    columns, labels, origin = dict[str, list[Any]](), dict[str, list[Any]](), dict(asked.origin or {})
+    with problems.at(("points", asked.source), "" if asked.columns is not None else f"{asked.file or asked.design}: "):
+        if asked.design is not None:
+            columns, origin = _designed(asked, values)
+        else:
+            table = {name: Column(cells) for name, cells in (asked.columns or {}).items()}
+            table |= {} if asked.file is None else _in_file(asked.file, values)
+            columns, labels = _apart(table, asked, values)
+            origin |= {} if asked.file is None else {"file": Path(asked.file).name}
+    if len(problems.sentences) > before:
+        return {}, None
+    with problems.at(("points",)):
+        lengths = {name: len(column) for name, column in (columns | labels).items()}
+        sizes = ", ".join(f"{name} has {n}" for name, n in lengths.items())
+        if len({*lengths.values()}) != 1:
+            raise ValueError(f"needs columns with the same number of values; {sizes}")
+        if not 1 <= max(lengths.values()) <= MAX_VALUES:
+            raise ValueError(f"needs from 1 to {MAX_VALUES:,} points; {sizes}")
+        if asked.derive is not None:
+            settings = {n: v for n, v in (experiment.defaults() | form.fixed).items() if n not in form.axes}
+            with problems.at(("points", "derive")):
+                columns |= _derived(asked.derive, columns, settings, values, code)
+                origin["derive"] = asked.derive
+    if len(problems.sentences) > before:
+        return {}, None
     points: dict[str, tuple[Value, ...] | None] = {}
     for name, raw_values in columns.items():
-        where = ("points", "ranges" if form.points.design else form.points.source, name)
+        where = ("points", "ranges" if asked.design else asked.source, name)
         if name in {**form.axes, **form.fixed}:
             problems.add(where, f"is {'an axis' if name in form.axes else 'fixed'} too; leave out one of the two")
         with problems.at(where):
             if not (parameter := experiment.parameter(name)).may_be_axis:
                 raise ValueError(f"a {parameter.kind} cannot differ from point to point")
             points[name] = values.several(where, name, raw_values, rows=True)
-    return points, table
+    return points, PointTable(tuple(columns), origin, labels)
 
 
-def _written(form: PointsForm, values: Values, settings: Mapping[str, Any], code: Code) -> tuple[Cells, PointTable]:
-    """Return the columns of a table of points as they are written, all of one length, and what is known of it; of other
-    parameters those that are no axes have their ``settings``.
+def _apart(table: Mapping[str, Column], form: PointsForm, values: Values) -> tuple[Cells, Cells]:
+    """Return the columns that are parameters, in their units, and those that label the rows; all under names that are
+    known, behind which a column's own may have a unit: ``x [cm]``.
     """
-    problems, before = values.problems, len(values.problems.sentences)
-    columns: Cells = form.columns or {}
-    origin: dict[str, Any] = dict(form.origin or {})
-    labels, units = dict[str, list[Any]](), dict[str, str]()
-    with problems.at(("points", form.source), "" if form.source == "columns" else f"{form.file or form.design}: "):
-        if form.design is not None:
-            columns, origin = _designed(form, values)
-        elif form.file is not None:
-            (columns, units), origin = _in_file(form, values), {"file": Path(form.file).name}
-        if form.design is None:
-            known = [*values.experiment.defaults(), *form.labels]
-            columns, units = _plainly_named(columns, units, form.units, known)
-            columns, labels = _apart(columns, form, values)
-            ours = {*columns, *form.units}.difference(labels)
-            units = {name: unit for name, unit in units.items() if name in ours}
-            columns = _in_units(columns, units, values, ("points", form.source))
-    with problems.at(("points",)):
-        lengths = {name: len(column) for name, column in {**columns, **labels}.items()}
-        sizes = ", ".join(f"{name} has {n}" for name, n in lengths.items())
-        if len(problems.sentences) == before and len(set(lengths.values())) != 1:
-            raise ValueError(f"needs columns with the same number of values; {sizes}")
-        if len(problems.sentences) == before and not 1 <= max(lengths.values()) <= MAX_VALUES:
-            raise ValueError(f"needs from 1 to {MAX_VALUES:,} points; {sizes}")
-    if form.derive is not None and len(problems.sentences) == before:
-        with problems.at(("points", "derive")):
-            columns = {**columns, **_derived(form.derive, columns, settings, values, code)}
-            origin["derive"] = form.derive
-    columns = columns if len(problems.sentences) == before else {}
-    return columns, PointTable(tuple(columns), origin, labels)
-
-
-def _plainly_named(
-    columns: Cells, in_file: Mapping[str, str], said: Mapping[str, str], known: Collection[str]
-) -> tuple[Cells, dict[str, str]]:
-    """Return columns and units by names that are known, behind which a column's own may have a unit: ``x [cm]``.
-
-    Raises ValueError for a column in one unit that is said to be in another.
-    """
-    plain, units = dict[str, list[Any]](), dict(said)
-    for column, cells in columns.items():
-        match = BRACKETS.fullmatch(column)
-        is_known = match and match[1] in {*known}.difference(columns, plain)
-        name, unit = match.groups() if match and is_known else (column, "")
-        unit, stated = in_file.get(column, unit), units.pop(column, said.get(name, ""))
-        if unit and stated and not same_unit(unit, stated):
-            raise ValueError(f"{name}: its column is in {unit}, and not in {stated}")
-        plain[name], units[name] = cells, unit or stated
-    return plain, units
-
-
-def _apart(columns: Cells, form: PointsForm, values: Values) -> tuple[Cells, dict[str, list[Any]]]:
-    """Return the columns that are parameters, and those that label the rows."""
-    parameters = [parameter.name for parameter in values.experiment.parameters]
-    results = [POINT, *values.experiment.coordinates, *(output.name for output in values.experiment.outputs)]
+    experiment, problems = values.experiment, values.problems
+    parameters, said = {one.name: one for one in experiment.parameters}, dict(form.units)
+    columns, labels = dict[str, list[Any]](), dict[str, list[Any]]()
+    for written, (cells, in_table) in table.items():
+        match = BRACKETS.fullmatch(written)
+        is_known = match and match[1] in {*parameters, *form.labels}.difference(table, columns, labels)
+        name, behind = match.groups() if match and is_known else (written, "")
+        unit, stated = in_table or behind, said.pop(written, said.pop(name, ""))
+        columns[name] = cells
+        with problems.at(("points", form.source, name)):
+            if name in form.labels:
+                labels[name] = columns.pop(name)
+            elif name not in parameters:
+                hint = f"{suggest(name, list(parameters))}; as a label: labels = [{json.dumps(name)}]"
+                raise ValueError(f"unknown parameter {shown(name)}{hint}")
+            elif unit and stated and not same_unit(unit, stated):
+                raise ValueError(f"its column is in {unit}, and not in {stated}")
+            else:
+                columns[name] = _in_its_unit(cells, unit or stated, parameters[name])
+    for name in said:
+        with problems.at(("points", form.source, name)):
+            raise ValueError(f"unit of {experiment.parameter(name).name}, which is no column")
+    results = [POINT, *experiment.coordinates, *(output.name for output in experiment.outputs)]
     taken = "is a parameter or a result; labels are other columns (reset_index() makes a column of an index)"
-    labels: dict[str, list[Any]] = {}
     for name in form.labels:
         problem = taken if name in (*parameters, *results) else name_problem(name)
-        problem = problem if name in columns else f"is no column{suggest(name, list(columns))}"
-        with values.problems.at(("points", "labels"), f"{shown(name)}: "):
+        problem = problem if name in labels else f"is no column{suggest(name, [*columns, *labels])}"
+        with problems.at(("points", "labels"), f"{shown(name)}: "):
             if problem:
                 raise ValueError(problem)
-            labels[name] = labels_of(columns[name])
-    for name in (name for name in columns if name not in (*parameters, *form.labels)):
-        hint = f"{suggest(name, parameters)}; as a label: labels = [{json.dumps(name)}]"
-        values.problems.add(("points", form.source, name), f"unknown parameter {shown(name)}{hint}")
-    return {name: columns[name] for name in columns if name in parameters}, labels
+            labels[name] = labels_of(labels[name])
+    return columns, labels
+
+
+def _in_its_unit(cells: list[Any], unit: str, parameter: Parameter) -> list[Any]:
+    """Return a column in the unit of its parameter, which may be without a value in some rows."""
+    missing = np.array([cell is None for cell in cells])
+    if missing.any() and not parameter.optional and not parameter.when:
+        raise ValueError(f"has no value in row {rows_listed(missing)}")
+    return in_unit(cells, unit, parameter) if unit else cells
 
 
 def is_empty(cell: object) -> bool:
@@ -601,26 +602,27 @@ def labels_of(cells: Sequence[Any]) -> list[Any]:
     return ["" if cell is None else str(cell) if type(cell) in printed else label_of(cell, str(cell)) for cell in cells]
 
 
-def _in_file(form: PointsForm, values: Values) -> tuple[Cells, dict[str, str]]:
-    path = values.folder / str(form.file)
+def _in_file(file: str, values: Values) -> dict[str, Column]:
+    """Return the columns of a file, with cells as their parameters take them."""
+    path = values.folder / file
     table = read_table(path)
-    columns, units = columns_of(table)
-    known = {parameter.name: parameter for parameter in values.experiment.parameters}
-    ours = {name: known.get(name, known.get(BRACKETS.sub(r"\1", name), Parameter(name))) for name in columns}
-    columns = {name: _read_cells(cells, ours[name]) for name, cells in columns.items()}
-    doubtful = [n for n, one in ours.items() if one.kind in ("any", "str") and {*map(type, columns[n])} != {str}]
-    written, _ = columns_of(read_table(path, texts=doubtful)) if doubtful else ({}, {})
+    known = {one.name: one for one in values.experiment.parameters}
+    ours = {name: known.get(name, known.get(BRACKETS.sub(r"\1", name), Parameter(name))) for name in table.colnames}
+    columns = {name: column_of(table[name], is_whole=True) for name in table.colnames}
+    cells = {name: _read_cells(column.cells, ours[name]) for name, column in columns.items()}
+    doubtful = [n for n, one in ours.items() if one.kind in ("any", "str") and {*map(type, cells[n])} != {str}]
+    written = read_table(path, texts=doubtful) if doubtful else {}
     for name in doubtful:  # 0071 is a name, and not the number 71; and "none" is a value where the choices have it
-        one, pairs = ours[name], zip(columns[name], written[name], strict=True)
-        texts = [None if cell is None and text not in one.choices else text for cell, text in pairs]
-        if one.kind == "str" or any(re.fullmatch(r"0\d+", str(text)) for text in texts):
-            columns[name] = texts
+        pairs = zip(cells[name], column_of(written[name], is_whole=True).cells, strict=True)
+        texts = [None if cell is None and text not in ours[name].choices else text for cell, text in pairs]
+        if ours[name].kind == "str" or any(re.fullmatch(r"0\d+", str(text)) for text in texts):
+            cells[name] = texts
         else:  # an integer stays one when a row with a fraction is appended
-            columns[name] = [
+            cells[name] = [
                 int(str(text)) if re.fullmatch(r"[+-]?\d+", str(text)) else text if cell is None else cell
-                for text, cell in zip(texts, columns[name], strict=True)
+                for text, cell in zip(texts, cells[name], strict=True)
             ]
-    return columns, units
+    return {name: column._replace(cells=cells[name]) for name, column in columns.items()}
 
 
 def _read_cells(cells: list[Any], parameter: Parameter) -> list[Any]:
@@ -644,7 +646,7 @@ def read_cell(cell: Any, kind: str, marks: Mapping[int, Any] = NO_MARKS) -> Any:
     """Return what a cell with text is for a parameter that is no text, the cell itself where it is nothing else."""
     if not isinstance(cell, str) or "_" in cell:  # which Python allows between digits
         return cell
-    if kind == "bool":
+    if kind == "bool":  # of pandas and NumPy True, of TOML true, of spreadsheets TRUE
         return {"true": True, "false": False}.get(cell.lower(), cell)
     for number in (int, float):
         with suppress(ValueError):
@@ -652,36 +654,14 @@ def read_cell(cell: Any, kind: str, marks: Mapping[int, Any] = NO_MARKS) -> Any:
     return cell
 
 
-def columns_of(table: Mapping[str, Any]) -> tuple[dict[str, list[Any]], dict[str, str]]:
-    """Return columns by name as lists of Python values, None where one is missing, and units by column.
-
-    NaN is missing in a table of astropy, and a value of other columns.
+def column_of(column: Any, is_whole: bool = False) -> Column:
+    """Return a column, an array or a value as Python has it; where it ``is_whole``, of a table of astropy, NaN is
+    missing, and elsewhere it is a value.
     """
-    columns, units = {}, {}
-    for name, column in table.items():
-        if unit := unit_of(column):
-            units[str(name)] = unit
-        numbers, mask = getattr(column, "unmasked", column), getattr(column, "mask", False)
-        cells = np.ma.masked_array(numbers.value, mask) if is_quantity(column) else column
-        some = np.atleast_1d(np.ma.asarray(cells)).tolist()
-        some = [None if is_empty(cell) else cell for cell in some] if hasattr(table, "colnames") else some
-        columns[str(name)] = [cell.decode() if isinstance(cell, bytes) else cell for cell in some]
-    return columns, units
-
-
-def _in_units(columns: Cells, units: Mapping[str, str], values: Values, where: KeyPath) -> Cells:
-    """Return columns in the units of their parameters."""
-    right: dict[str, list[Any]] = {}
-    for name in {**columns, **units}:
-        with values.problems.at((*where, name)):
-            parameter = values.experiment.parameter(name)
-            if name not in columns:
-                raise ValueError("has a unit, but is no column")
-            missing = np.array([cell is None for cell in columns[name]])
-            if missing.any() and not parameter.optional and not parameter.when:
-                raise ValueError(f"has no value in row {rows_listed(missing)}")
-            right[name] = in_unit(columns[name], units[name], parameter) if units.get(name) else columns[name]
-    return right
+    numbers, mask = getattr(column, "unmasked", column), getattr(column, "mask", False)
+    array = np.ma.masked_array(numbers.value, mask) if is_quantity(column) else np.ma.asarray(column)
+    cells = [None if is_whole and is_empty(cell) else cell for cell in np.atleast_1d(array).tolist()]
+    return Column([cell.decode() if isinstance(cell, bytes) else cell for cell in cells], unit_of(column))
 
 
 def _derived(reference: str, columns: Cells, settings: Mapping[str, Any], values: Values, code: Code) -> Cells:
@@ -794,50 +774,38 @@ def with_default_objects(experiment: Experiment) -> Experiment:
     return replace(experiment, parameters=tuple(parameters)) if arguments else experiment
 
 
-def plain_values(values: Any, where: str) -> Any:
-    """Return the values of an axis or a column as a study has them: numbers and texts, and others as they are, or under
-    the label that they are given.
-    """
-    if has_unit(values):  # converted or refused where that of its parameter is known
-        return values
-    if isinstance(values, Mapping):
-        if values.keys() & {"start", "values"}:
-            return {key: plain_values(one, f"{where}.{key}") for key, one in values.items()}
-        with refused(ValueError, said=f"{where}: "):
-            return [labelled(one, label) for label, one in values.items()]
-    if getattr(values, "ndim", 1) > 1:
-        values = list(np.asanyarray(values))  # each an object
-    kind = getattr(getattr(values, "dtype", None), "kind", "O")
-    if kind in PLAIN or isinstance(values, str | bytes | set | frozenset | Iterator | range):
-        return plain(values, where)
-    return [*map(plain_value, values)] if isinstance(values, Iterable) else values
-
-
 def plain_value(value: Any) -> Any:
     """Return a value as a study has it: numbers and texts of NumPy as those of Python."""
     return value.item() if isinstance(value, np.generic) and value.dtype.kind in PLAIN else value
 
 
-def plain(value: Any, where: str) -> Any:
+def plain(value: Any, where: str, deep: bool = True) -> Any:
     """Return a value as TOML would give it: lists for arrays, ranges, tuples and indexes, Python's own numbers.
 
-    Raises SweepError that names the place for numbers with a unit where there is no parameter with a unit.
+    Unless it is ``deep``, it is the values of an axis or a column: each of these that is no number or text is an object
+    and stays as it is, or is under the label that it has.  Raises SweepError that names the place for numbers with a
+    unit where there is no parameter with a unit.
     """
-    if isinstance(value, Mapping):
-        return {str(key): plain(item, f"{where}.{key}") for key, item in value.items()}
     if has_unit(value):
-        raise SweepError(f"{where}: is in {unit_of(value) or 'no unit'}; give numbers")
-    if isinstance(value, np.generic):
-        return value.item()
-    if hasattr(value, "tolist"):  # arrays of NumPy, pandas and xarray
-        items = value.tolist()
-        return items if getattr(getattr(value, "dtype", None), "kind", "") in PLAIN else plain(items, where)
-    if hasattr(value, "values") and hasattr(value.values, "tolist"):
-        return plain(value.values, where)
+        if deep:
+            raise SweepError(f"{where}: is in {unit_of(value) or 'no unit'}; give numbers")
+        return value  # converted or refused where that of its parameter is known
+    if isinstance(value, Mapping):
+        if deep or value.keys() & {"start", "values"}:
+            return {str(key): plain(item, f"{where}.{key}", deep) for key, item in value.items()}
+        with refused(ValueError, said=f"{where}: "):
+            return [labelled(one, label) for label, one in value.items()]
+    value = value.item() if deep and isinstance(value, np.generic) else value
+    if not hasattr(value, "tolist") and hasattr(getattr(value, "values", None), "tolist"):  # of xarray
+        value = value.values
+    if not deep and getattr(value, "ndim", 1) > 1:
+        value = list(np.asanyarray(value))  # each an object
+    elif hasattr(value, "tolist") and getattr(getattr(value, "dtype", None), "kind", "") in PLAIN:
+        return value.tolist()
     # Neither what gives its values only once, nor a set, whose order differs between processes: both are refused later.
-    if isinstance(value, Iterable) and not isinstance(value, str | bytes | set | frozenset | Iterator):
-        return [plain(item, where) for item in value]
-    return value
+    if not isinstance(value, Iterable) or isinstance(value, str | bytes | set | frozenset | Iterator):
+        return value
+    return [plain(item, where) if deep else plain_value(item) for item in value]
 
 
 def plain_study(document: Mapping[str, Any]) -> dict[str, Any]:
@@ -849,7 +817,7 @@ def plain_study(document: Mapping[str, Any]) -> dict[str, Any]:
         elif key == "exclude" and isinstance(value, list | tuple):
             written[key] = [plain_conditions(one, key, listed=False) for one in value]
         elif key == "axes" and isinstance(value, Mapping):
-            written[key] = {str(name): plain_values(one, f"{key}.{name}") for name, one in value.items()}
+            written[key] = plain_columns(value, key)
         elif key == "fixed" and isinstance(value, Mapping):
             written[key] = {str(name): plain_value(one) for name, one in value.items()}
         else:
@@ -857,11 +825,16 @@ def plain_study(document: Mapping[str, Any]) -> dict[str, Any]:
     return written
 
 
+def plain_columns(columns: Mapping[str, Any], where: str) -> dict[str, Any]:
+    """Return the values of axes or columns, by name, as a study has them."""
+    return {str(name): plain(values, f"{where}.{name}", deep=False) for name, values in columns.items()}
+
+
 def plain_conditions(raw: Any, where: str, listed: bool = True) -> Any:
     """Return conditions as a study has them, those on a parameter's value being ``listed``."""
     if isinstance(raw, Mapping):
         return {str(key): plain_conditions(one, f"{where}.{key}", listed or key == "in") for key, one in raw.items()}
-    return plain_values(raw, where) if listed else plain_value(raw)
+    return plain(raw, where, deep=False) if listed else plain_value(raw)
 
 
 def plain_points(points: Any) -> dict[str, Any]:
@@ -869,33 +842,30 @@ def plain_points(points: Any) -> dict[str, Any]:
     name of a file, or what a study file may have there.  The index of a DataFrame labels the points unless it only
     counts them.
     """
-    units, labels = dict[str, str](), list[str]()
+    further = dict[str, Any]()
     if isinstance(points, str | PathLike):
         return {"file": str(points)}
-    if isinstance(points, Mapping):
-        if isinstance(columns := points.get("columns"), dict):
-            whole = {str(name): plain_values(column, f"points.{name}") for name, column in columns.items()}
-            return {**plain({**points, "columns": {}}, "points"), "columns": whole}
-        # a column may be called "file" or "design", but it is no text
-        if any(isinstance(points.get(key), str) for key in ("file", "design")):
-            return dict(plain(points, "points"))
-    if isinstance(points, Mapping) or hasattr(points, "colnames"):
+    if isinstance(points, Mapping) and isinstance(columns := points.get("columns"), dict):
+        further, table = plain({key: one for key, one in points.items() if key != "columns"}, "points"), columns
+    elif isinstance(points, Mapping) and any(isinstance(points.get(key), str) for key in ("file", "design")):
+        return dict(plain(points, "points"))  # a column may be called so, but it is no text
+    elif isinstance(points, Mapping) or hasattr(points, "colnames"):
+        is_whole = hasattr(points, "colnames")
         table = {str(name): points[name] for name in getattr(points, "colnames", points)}
-        with_units = {name: one for name, one in table.items() if has_unit(one)}
-        cells, units = columns_of(points if hasattr(points, "colnames") else with_units)
-        table |= {name: some for name, some in cells.items() if not some or not isinstance(some[0], list)}
+        read = {name: column_of(one, is_whole) for name, one in table.items() if is_whole or has_unit(one)}
+        table |= {name: cells for name, (cells, _) in read.items() if not cells or not isinstance(cells[0], list)}
+        further = {"units": {name: unit for name, (_, unit) in read.items() if unit}}
     elif hasattr(points, "columns") and hasattr(points, "to_dict"):
         if points.index.names != [None] or points.index.tolist() != list(range(len(points))):
             before, points = set(points), points.reset_index(allow_duplicates=True)
-            labels = [str(name) for name in points if name not in before]
+            further = {"labels": [str(name) for name in points if name not in before]}
         if not points.columns.is_unique:
             raise SweepError("points: two columns have the same name")
         table = {str(name): points[name].astype(object).where(points[name].notna(), None).tolist() for name in points}
     else:
         wanted = "must be a DataFrame, a Table, a mapping of columns, a file or a design"
         raise SweepError(f"points = {shown(points)}: {wanted}")
-    columns = {name: plain_values(column, f"points.{name}") for name, column in table.items()}
-    return {"columns": columns} | {key: some for key, some in (("units", units), ("labels", labels)) if some}
+    return {"columns": plain_columns(table, "points")} | {key: some for key, some in further.items() if some}
 
 
 def with_labels(points: Any, labels: Any) -> dict[str, Any]:

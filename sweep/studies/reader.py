@@ -197,8 +197,8 @@ def _conditions(text: str, texts: Collection[str]) -> dict[str, Any]:
 
 
 def parse_value(text: str, is_text: bool = False) -> Any:
-    """Return a value as TOML would read it, also Python's True and False, or the text itself where it is another bare
-    word, or is to be one.
+    """Return a value as TOML would read it, truth values in any case, or the text itself where it is another bare word,
+    or is to be one.
 
     >>> parse_value("1e3"), parse_value("[1, 2]"), parse_value("true"), parse_value("False"), parse_value("gaia")
     (1000.0, [1, 2], True, False, 'gaia')
@@ -208,7 +208,7 @@ def parse_value(text: str, is_text: bool = False) -> Any:
     try:
         document = tomllib.loads(f"value = {text}")
     except (ValueError, RecursionError):
-        return text if is_text else {"True": True, "False": False}.get(text, text)  # a bare word is a string
+        return text if is_text else read_cell(text, "bool")  # another bare word is a string
     value = document["value"] if len(document) == 1 else text
     return text if is_text and not isinstance(value, str) else value
 

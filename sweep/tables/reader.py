@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from linksweep.sweep.contract import SweepError, refused
+from linksweep.sweep.contract import SweepError, needed, refused
 
 # The formats of a table, each known by its content; text and XML may be packed with gzip, bzip2 or xz.
 FORMATS = (
@@ -485,10 +485,8 @@ def read_row_group(path: Path, group: int, columns: Sequence[str]) -> Any:
 @contextmanager
 def _parquet(source: Any) -> Iterator[Any]:
     """Give an open Parquet file; errors while it is read are SweepErrors."""
-    try:
+    with needed("pyarrow as a Parquet file", "parquet"):
         from pyarrow.parquet import ParquetFile
-    except ImportError as error:
-        raise SweepError("is a Parquet file, which needs pyarrow: install linksweep[parquet]") from error
     with _readable_as("as Parquet"):
         yield ParquetFile(source)
 

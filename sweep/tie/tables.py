@@ -27,7 +27,7 @@ from linksweep.core.tie.forecast import RELEASES, releases_at
 from linksweep.core.tie.problem import Problem, Solution
 from linksweep.core.tie.transits import COLOUR, ERROR, MODELS, NOISE, PATH, VALUE, Paths, Transits, joint, misfit
 from linksweep.core.unknowns import PARAMETERS
-from linksweep.sweep.contract import SweepError, refused
+from linksweep.sweep.contract import SweepError, needed, refused
 from linksweep.sweep.formatting import first_of
 from linksweep.sweep.tables import columns as archives
 from linksweep.sweep.tables.columns import ACCELERATIONS, CORRELATIONS, Columns, first_found, rows_where
@@ -308,10 +308,8 @@ def _zero_points(read: Columns, epoch: Array) -> Array:
 
     Source: Lindegren et al. 2021, A&A 649, A4, as the authors' package has them.
     """
-    try:
+    with needed("gaiadr3-zeropoint for parallax zero points", "zeropoint"):
         from zero_point import zpt
-    except ImportError as error:
-        raise SweepError("parallax zero points need a package: pip install linksweep[zeropoint]") from error
     shift, there = np.full(len(read), np.nan), " and ".join(releases_at(epoch)) or "no release"
     if there != "dr3":
         read.problems.append(f"parallax zero points are those of dr3, and the epochs are of {there}")
@@ -693,10 +691,8 @@ def read_observations(path: Path) -> tuple[Any, list[str]]:
         # Its import asks the Gaia archive for news, and prints that there are none: behind a silent firewall only after
         # two minutes.
         socket.setdefaulttimeout(NEWS_S)
-        with redirect_stdout(io.StringIO()):
+        with needed("gaiasupdate", "epochs", path), redirect_stdout(io.StringIO()):
             import gaiasupdate.epoch_astrometry  # noqa: F401  (it gives frames their methods)
-    except ImportError as error:
-        raise SweepError("needs gaiasupdate to be read: install linksweep[epochs]", str(path)) from error
     finally:
         socket.setdefaulttimeout(waiting)
     table = read_file(built_in(path))
