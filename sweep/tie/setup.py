@@ -19,12 +19,12 @@ from linksweep.core.tie.astrometry import Astrometry, kinds, named_rows
 from linksweep.core.tie.forecast import releases_at
 from linksweep.core.tie.noise import ALL, ESTIMATE
 from linksweep.core.tie.problem import Problem, StreamedSources, sources_of
-from linksweep.core.unknowns import SpinByBin, Unknowns, parse_unknowns, require_mission_name, spin_block, spin_by_bin
+from linksweep.core.unknowns import Block, SpinByBin, Unknowns, parse_unknowns, require_mission_name, spin_by_bin
 from linksweep.sweep.contract import SweepError, refused
 from linksweep.sweep.executing.executor import Map
 from linksweep.sweep.formatting import first_of, split_assignment
 from linksweep.sweep.tables import reader
-from linksweep.sweep.tables.columns import conditions
+from linksweep.sweep.tables.columns import Columns, conditions
 from linksweep.sweep.tables.options import by_table, number, numbers, parameter
 from linksweep.sweep.tie import tables as files
 from linksweep.sweep.tie.options import SIDES, SIGNS, TABLE, Options, listed
@@ -103,8 +103,10 @@ def parse_jitter(text: str, missions: Collection[str]) -> dict[str, dict[str, An
     for item in filter(None, map(str.strip, text.split(","))):
         kind, size = (ALL, item) if item == ESTIMATE else split_assignment(item)
         sizes = numbers(size, ":") if size != ESTIMATE else [0.0, 0.0]
-        if kind in jitter or not (kind and 1 <= len(sizes) <= 2):
-            raise SweepError(f"jitter {item!r}: say estimate, or KIND=MAS[:MAS_YR] in mas and mas/yr, each once")
+        finite = all(0.0 <= one < np.inf for one in sizes)
+        if kind in jitter or not (kind and 1 <= len(sizes) <= 2 and finite):
+            said = "say estimate, or KIND=MAS[:MAS_YR], finite and not negative, in mas and mas/yr, each once"
+            raise SweepError(f"jitter {item!r}: {said}")
         # one number is the jitter of motions where a kind of rows has nothing else
         both = (0.0, *sizes) if len(sizes) == 1 and kind.rpartition(":")[2] in MOTIONS else (*sizes, 0.0)[:2]
         jitter[kind] = ESTIMATE if size == ESTIMATE else both
@@ -547,7 +549,7 @@ def with_jitter(rows: Astrometry, jitter: Mapping[str, Any]) -> Astrometry:
     """Return rows with (mas, mas/yr) added in quadrature to the errors of each kind, or of "all"; covariances do not
     change.
 
-    Raises SweepError for sizes that are negative or not finite, unknown kinds, and kinds of which there is no row.
+    Raises SweepError for unknown kinds, and kinds of which there is no row.
     """
     if not jitter:
         return rows
@@ -559,12 +561,10 @@ def with_jitter(rows: Astrometry, jitter: Mapping[str, Any]) -> Astrometry:
         there = ", ".join(np.unique(kind_of_row))
         raise SweepError(f"jitter: no row is of the kind {', '.join(absent)}; there are {there}")
     added = np.zeros_like(rows.errors)
-    for kind, size in jitter.items():
+    for kind in np.unique(kind_of_row):
+        size = jitter.get(kind, jitter.get(ALL, ESTIMATE))  # what is estimated is added later
         position, motion = (0.0, 0.0) if size == ESTIMATE else size
-        if not (0.0 <= position < np.inf and 0.0 <= motion < np.inf):
-            raise SweepError(f"jitter of {kind}: {position:g}, {motion:g}: must be finite and not negative")
-        at = kind_of_row == kind if kind != ALL else ~np.isin(kind_of_row, list(jitter))  # a named kind has its own
-        added[:, at] = MAS * np.array([position, position, position, motion, motion])[:, None]
+        added[:, kind_of_row == kind] = MAS * np.array([position, position, position, motion, motion])[:, None]
     added[2, rows.at_rest[2]] = 0.0  # a noise of positions is none of a parallax that is known
     return core.with_variance(rows, added**2)
 
@@ -593,47 +593,47 @@ def _glide(rows: Astrometry, aberration: float) -> Array:
 
 def known_unknowns(options: Options, stars: Astrometry) -> tuple[Unknowns, Array] | None:
     """Return the blocks and the values (rad, rad/yr) of an orientation and a spin that are known; None without any."""
-    known = [] if (spin := _known_spin(options, stars)) is None else [spin]
-    if options.known_orientation is not None:
-        block = parse_unknowns("orientation")
-        known.append((block, SIGNS[options.sign] * np.array(options.known_orientation) * MAS))
-    blocks = tuple(block for unknowns, _ in known for block in unknowns.blocks)
+    known = list[tuple[Block, Array]]()
+    for name, said in (("spin", options.known_spin), ("orientation", options.known_orientation)):
+        if isinstance(said, str):
+            known.append(_spin_by_bin(said, options.sign, stars))
+        elif said is not None:
+            known.append((parse_unknowns(name).blocks[0], SIGNS[options.sign] * np.array(said) * MAS))
+    blocks = tuple(block for block, _ in known)
     return (Unknowns(blocks), np.concatenate([values for _, values in known])) if known else None
 
 
-def _known_spin(options: Options, stars: Astrometry) -> tuple[Unknowns, Array] | None:
-    """Return the block and the values (rad/yr) of a spin that is known: a vector, or a table by bins of a column.
+def _spin_by_bin(spin: str, sign: str, stars: Astrometry) -> tuple[Block, Array]:
+    """Return the block and the values (rad/yr) of a spin that a table has by bins of a column.
 
     A table has columns COLUMN_min and COLUMN_max of the satellite's COLUMN, or mag_min and mag_max for phot_g_mean_mag,
     and omega_x, omega_y, omega_z with a unit; its metadata may have ``sign`` and ``release``.  Raises SweepError for
     anything else, for sources outside its bins, and for those of another release.
     """
-    if (spin := options.known_spin) is None:
-        return None
-    if not isinstance(spin, str):
-        return Unknowns((spin_block(),)), SIGNS[options.sign] * np.array(spin) * MAS
-    table, at = reader.read_table(files.built_in(Path(spin))), releases_at(stars.epoch)
-    if (release := table.meta.get("release")) is not None and at != [release]:
+    read, at = Columns(reader.read_table(files.built_in(Path(spin))), spin), releases_at(stars.epoch)
+    if (release := read.table.meta.get("release")) is not None and at != [release]:
         there = " and ".join(at) or "no release"
-        raise SweepError(f"spins of {release}, and the satellite's epochs are those of {there}", str(spin))
-    if (said := table.meta.get("sign", options.sign)) not in [*SIGNS]:
-        raise SweepError(f"sign {said!r} in its metadata: must be {' or '.join(SIGNS)}", str(spin))
-    names = [name[:-4] for name in table.colnames if name.endswith("_min") and f"{name[:-4]}_max" in table.colnames]
+        raise SweepError(f"spins of {release}, and the satellite's epochs are those of {there}", spin)
+    if (said := read.table.meta.get("sign", sign)) not in [*SIGNS]:
+        raise SweepError(f"sign {said!r} in its metadata: must be {' or '.join(SIGNS)}", spin)
+    names = [name[:-4] for name in read.names if name.endswith("_min") and f"{name[:-4]}_max" in read.names]
     axes = [f"omega_{axis}" for axis in "xyz"]
-    if len(names) != 1 or any(name not in table.colnames or table[name].unit is None for name in axes):
+    if len(names) != 1 or any(name not in read.names or read.table[name].unit is None for name in axes):
         needs = f"one pair of columns NAME_min, NAME_max, and {', '.join(axes)} with units, uas/yr or mas/yr"
-        raise SweepError(f"a table of spins has {needs}; here {', '.join(table.colnames)}", str(spin))
-    table.sort(f"{names[0]}_min")
-    low, high = (np.asarray(table[f"{names[0]}_{end}"], dtype=np.float64) for end in ("min", "max"))
+        raise SweepError(f"a table of spins has {needs}; here {', '.join(read.names)}", spin)
+    read.table.sort(f"{names[0]}_min")
+    low, high = (read.numbers(f"{names[0]}_{end}") for end in ("min", "max"))
+    vectors = np.array([read.numbers(name) * read.table[name].unit.to("mas/yr") for name in axes]).T
+    read.check(~np.isfinite(vectors).all(axis=1), f"a bin of {names[0]} without a spin", low)
+    read.finish()
     if np.any(low[1:] != high[:-1]) or np.any(high <= low):
-        raise SweepError(f"the bins of {names[0]} do not follow one another", str(spin))
+        raise SweepError(f"the bins of {names[0]} do not follow one another", spin)
     column = {"mag": "phot_g_mean_mag", "G": "phot_g_mean_mag"}.get(names[0], names[0])
     values = stars.columns.get(column, np.full(len(stars), np.nan))
     if np.any(outside := ~((values >= low[0]) & (values < high[-1]))):
-        raise SweepError(f"{np.count_nonzero(outside)} matched sources have no {column} in its bins", str(spin))
-    vectors = [np.asarray(table[name], dtype=np.float64) * table[name].unit.to("mas/yr") for name in axes]
+        raise SweepError(f"{np.count_nonzero(outside)} matched sources have no {column} in its bins", spin)
     block = spin_by_bin(column, tuple(low[1:].tolist()), tuple(range(len(low))))
-    return Unknowns((block,)), SIGNS[said] * np.stack(vectors, axis=1).ravel() * MAS
+    return block, SIGNS[said] * vectors.ravel() * MAS
 
 
 # ---- unknowns

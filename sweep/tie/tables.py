@@ -226,15 +226,7 @@ def astrometric_table(table: Any, where: str, digest: str, options: TableOptions
     read.finish()
     if not len(read):
         raise SweepError("has no rows", where)
-    values, errors = np.full((2, 5, len(read)), np.nan)
-    for value, error, name in zip(values, errors, PARAMETERS, strict=True):
-        if read.has(name):
-            value[:] = _in_radians(read, name, options)
-            read.check(np.isinf(value), f"an infinite {name}")
-        if read.has(f"{name}_error"):
-            error[:] = _errors(read, name, options)
-        elif np.any(np.isfinite(value)):
-            read.notes.append(f"no errors of {name}, which counts as not measured")
+    values, errors = _measured(read, PARAMETERS, options)
     read.finish()
     _note_lost(read, np.isfinite(values) & ~np.isfinite(errors))
     _note_unlikely(read, PARAMETERS, values, errors)
@@ -321,6 +313,20 @@ def _zero_points(read: Columns, epoch: Array) -> Array:
     number = np.isfinite(shift).sum()
     read.notes.append(f"zero points of {number} of {len(read)} parallaxes subtracted (Lindegren et al. 2021)")
     return np.asarray(np.nan_to_num(shift) * MAS)
+
+
+def _measured(read: Columns, names: Sequence[str], options: TableOptions) -> Array:
+    """Return values and errors (2, P, N) of parameters in rad and years, NaN where there are none."""
+    measured = np.full((2, len(names), len(read)), np.nan)
+    for value, error, name in zip(*measured, names, strict=True):
+        if read.has(name):
+            value[:] = _in_radians(read, name, options)
+            read.check(np.isinf(value), f"an infinite {name}")
+        if read.has(f"{name}_error"):
+            error[:] = _errors(read, name, options)
+        elif np.any(np.isfinite(value)):
+            read.notes.append(f"no errors of {name}, which counts as not measured")
+    return measured
 
 
 def _in_radians(read: Columns, quantity: str, options: TableOptions) -> Array:
@@ -433,16 +439,9 @@ def _accelerations(read: Columns, five: Flags, options: TableOptions) -> Array |
     """
     if not read.has("accel_ra") and not read.has("accel_dec"):
         return None
-    both = np.full((2, len(core.FURTHER), len(read)), np.nan)
-    for k, name in enumerate(ACCELERATIONS):
-        if read.has(name):
-            both[0, k] = _in_radians(read, name, options)
-            read.require(f"{name}_error")
-        if read.has(f"{name}_error"):
-            both[1, k] = _in_radians(read, f"{name}_error", options)
-            read.check(both[1, k] < 0.0, f"a negative {name}_error")
-    _note_unlikely(read, ACCELERATIONS, *both[:, : len(ACCELERATIONS)])
-    there = np.isfinite(both).all(axis=0) & (both[1] > 0.0)
+    both = _measured(read, ACCELERATIONS, replace(options, zero_errors="missing"))  # 0 in rows of five parameters
+    _note_unlikely(read, ACCELERATIONS, *both)
+    there = np.logical_and(*np.isfinite(both))
     half = np.any((np.nan_to_num(both) != 0.0).any(axis=0) & ~there, axis=0)
     half |= (there[0] != there[1]) | (there[2] != there[3]) | (there[2] & ~there[0])
     read.check(half, "an acceleration without one of its coordinates or errors, or a derivative alone,")
@@ -452,7 +451,7 @@ def _accelerations(read: Columns, five: Flags, options: TableOptions) -> Array |
     sizes = zip(*np.unique((5 + 2 * there[0].astype(int) + 2 * there[2])[five], return_counts=True), strict=True)
     counted = ", ".join(f"{number} of {size}" for size, number in sizes)
     read.notes.append(f"rows by the number of parameters of their model: {counted}; each is propagated with its own")
-    return np.where(there, both, 0.0)
+    return np.pad(np.where(there, both, 0.0), ((0, 0), (0, 1), (0, 0)))  # there are no orbits
 
 
 def _averaged(read: Columns, epoch: Array, further: Array, options: TableOptions) -> Array:
@@ -508,38 +507,35 @@ def _correlations(read: Columns, present: Flags) -> Array | None:
     """
     if (elements := hipparcos_elements(read)) is not None:
         return hipparcos_correlations(elements)
-    pairs = core.ALL_PAIRS[: len(core.PAIRS) if len(present) == 5 else len(CORRELATIONS)]
-    vector, named = read.name("corr_vec"), [read.name(key) for key in CORRELATIONS][: len(pairs)]
+    keys = [*CORRELATIONS][: len(core.PAIRS) if len(present) == 5 else None]
+    first, second = core.FIRST[: len(keys)], core.SECOND[: len(keys)]
+    vector, named = read.name("corr_vec"), [read.name(key) for key in keys]
     names = [name or vector for name in named]
     if not any(names):
         return None
     correlations = np.array([np.full(len(read), np.nan) if name is None else read.numbers(name) for name in named])
     if vector:
-        elements = _vectors(read, vector, 36, _ELEMENT)[[j * (j - 1) // 2 + i for i, j in pairs]]  # by columns
+        elements = _vectors(read, vector, 36, _ELEMENT)[second * (second - 1) // 2 + first]  # by columns
         differ = np.any(np.abs(correlations - elements) > ROUNDED, axis=0)
         read.check(differ, f"correlations in columns that contradict {vector}", hint="; leave out one of the two")
         correlations = np.where(np.isfinite(correlations), correlations, elements)
-    elif len(pairs) > 10 and not any(names[10:]):
+    elif len(keys) > 10 and not any(names[10:]):
         read.notes.append("no correlations of the accelerations: they count as 0, although they are large")
-    absent, gaps = [], np.zeros(len(read), dtype=bool)
-    for row, key, name, (i, j) in zip(correlations, CORRELATIONS, names, pairs, strict=False):
-        both = present[i] & present[j]
-        if not np.any(np.isfinite(row)):  # a blank column counts as none
-            absent += [key] if np.any(both) and (j < len(PARAMETERS) or any(names[10:])) else []
-        else:
-            read.check(gone := both & ~np.isfinite(row), f"no {name} (write 0 for none)")
-            gaps |= gone
-        row[~(both & np.isfinite(row))] = 0.0
+    both, known = present[first] & present[second], np.isfinite(correlations)
+    blank = ~known.any(axis=1)  # which counts as no column
+    gone = both & ~known & ~blank[:, None]
+    for flags, name in zip(gone, names, strict=True):
+        read.check(flags, f"no {name} (write 0 for none)")
+    needed = both.any(axis=1) & ((second < len(PARAMETERS)) | any(names[10:]))
+    absent = [key for key, lacks in zip(keys, blank & needed, strict=True) if lacks]
+    correlations = np.where(both & known, correlations, 0.0)
     zero = f"no {first_of(absent, 5)}: a correlation without a column counts as 0" if absent else ""
     read.notes += [zero] if zero else []
     zero += "of corr_vec, the columns of the upper triangle one after the other" if vector else ""
     matrices = np.tile(np.eye(len(present)), (len(read), 1, 1))
-    for row, (i, j) in zip(correlations, pairs, strict=True):
-        matrices[:, i, j] = matrices[:, j, i] = row
-    good = core.positive_definite(matrices)
-    read.check(
-        ~(good | gaps), "correlations that are impossible (not positive definite)", hint=f"; {zero}" if zero else ""
-    )
+    matrices[:, first, second] = matrices[:, second, first] = correlations.T
+    wrong, hint = ~(core.positive_definite(matrices) | gone.any(axis=0)), f"; {zero}" if zero else ""
+    read.check(wrong, "correlations that are impossible (not positive definite)", hint=hint)
     return correlations
 
 
@@ -566,14 +562,13 @@ def _epochs(read: Columns, options: TableOptions) -> Array:
 
 def _calibrators(read: Columns) -> dict[str, Any]:
     """Return the calibrators of rows and the errors (rad) that rows of a source share by them, if there are any."""
-    if not read.has("calibrator"):
-        read.check(np.full(len(read), read.has("calibrator_error")), "a calibrator_error but no column calibrator")
+    there = read.has("calibrator"), read.has("calibrator_error")
+    if any(there) and not all(there):
+        said = "the errors of the calibrators' positions (mas), 0 where rows share none"
+        read.problems.append(f"a column calibrator needs calibrator_error, {said}; the latter needs the former")
+    if not all(there):
         return {}
     names = read.text(str(read.name("calibrator")), "")
-    if not read.has("calibrator_error"):
-        said = "give the errors of the calibrators' positions (mas) in calibrator_error, 0 where they share none"
-        read.problems.append(f"column {read.name('calibrator')!r} has no errors; {said}")
-        return {}
     shared = np.where(names == "", 0.0, read.quantity("calibrator_error", "allowed", MAS))
     read.check(~((shared >= 0.0) & (shared < np.inf)), "a calibrator without an error that is 0 or more")
     low, high = CALIBRATORS
@@ -598,11 +593,9 @@ def _radial_velocity(read: Columns) -> Array | None:
 def _names(read: Columns) -> dict[str, Texts]:
     """Return the columns of names, best first, and after them all other text."""
     wanted = [read.columns["name"]] if "name" in read.columns else SOURCE_NAMES
-    place = {name: len(wanted) for name in read.names if read.kind(name) in "US" and name != read.name("calibrator")}
-    for k, key in reversed(list(enumerate(wanted))):
-        if (name := first_found([key], read.names)) is not None:
-            place[name] = k
-    return {name: read.text(name) for name in sorted(place, key=lambda name: place[name])}
+    best = filter(None, (first_found([key], read.names) for key in wanted))
+    others = [name for name in read.names if read.kind(name) in "US" and name != read.name("calibrator")]
+    return {name: read.text(name) for name in dict.fromkeys([*best, *others])}
 
 
 def _is_hipparcos(read: Columns) -> bool:
