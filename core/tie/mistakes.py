@@ -7,7 +7,7 @@ mistake that was made is the one whose correction brings chi2 down to the level 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache, partial
-from itertools import combinations, product
+from itertools import chain, combinations, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -183,9 +183,7 @@ def _groups(problem: Problem, solution: Solution) -> list[_Group]:
     groups = []
     for part in _by_kind(problem):
         for quantity, rows in GROUPS.items():
-            used = np.zeros_like(usable)
-            cells = np.ix_(part.at, np.array(rows))
-            used[cells] = usable[cells]
+            used = usable & part.at[:, None] & np.isin(np.arange(5), rows)
             if np.any(used):
                 mean = float(np.sum(np.clip(means[used], 0.0, 1.0)))
                 at = used.any(axis=1)
@@ -327,18 +325,13 @@ def explains(corrected: float, ratio: float) -> bool:
 
 def _causes(problem: Problem, part: _Part, ratio: float) -> Iterator[Cause]:
     """Yield the mistakes in a part whose correction brings chi2 down to the level of good tables."""
-    for words, hides, trial in _trials(problem, [part]):
+    for words, hides, trial in chain(_trials(problem, [part]), _shifted(problem, part)):
         # errors that are too small are so for all sources
         if explains(corrected := _ratio(trial), ratio) and (not hides or 0.1 < _ratio(trial, typical=True) < GOOD):
             yield Cause(words, corrected, hides)
-    shift, corrected = _shift(problem, part)
-    table = problem.satellite if part.table == "satellite" else problem.rows
-    if explains(corrected, ratio) and not np.any(part.at & impossible(table.errors, table.epoch + shift)):
-        early = "early" if shift > 0.0 else "late"
-        yield Cause(f"epochs of {part.words} {round(abs(shift), 2):.3g} years too {early}", corrected)
     if part.table == "satellite" or np.count_nonzero(part.at) < 3:
         return
-    epochs = np.unique(table.epoch[part.at & table.present[0]])
+    epochs = np.unique(problem.rows.epoch[part.at & problem.rows.present[0]])
     free = {100.0: "wrong in single rows: positions are off along the proper motion"}
     if len(epochs) == 1:
         free[100.0] = f"equal ({epochs[0]:g}), but they were measured at different ones"
@@ -530,16 +523,18 @@ def _each(sums: NormalSums, solution: Solution) -> Array:
     return discrepancies(sums, solution.estimate) / np.maximum(sums.count, 1.0)
 
 
-def _shift(problem: Problem, part: _Part) -> tuple[float, float]:
-    """Return by how many years epochs are to be shifted for the smallest chi2, and chi2 over its expectation there."""
+def _shifted(problem: Problem, part: _Part) -> Iterator[tuple[str, int, Problem]]:
+    """Yield, as `_trials`, the shift of epochs with the smallest chi2, unless no position had such errors then."""
 
-    @cache
-    def at(shift: float) -> float:
-        moved = _applied(problem, part, lambda table: replace(table, epoch=table.epoch + shift))
-        return _ratio(moved if shift else problem)
+    def moved(years: float) -> Problem | None:
+        return _applied(problem, part, lambda table: replace(table, epoch=table.epoch + years)) if years else problem
 
-    shift = best_shift(at)
-    return shift, at(shift)
+    shift = best_shift(lambda years: _ratio(moved(years)))
+    if (trial := moved(shift)) is not None:
+        table = trial.satellite if part.table == "satellite" else trial.rows
+        if not np.any(part.at & impossible(table.errors, table.epoch)):
+            early = "early" if shift > 0.0 else "late"
+            yield f"epochs of {part.words} {round(abs(shift), 2):.3g} years too {early}", 0, trial
 
 
 def best_shift(at: Callable[[float], float]) -> float:
@@ -548,6 +543,7 @@ def best_shift(at: Callable[[float], float]) -> float:
     Near its minimum chi2 is a parabola in the shift.  Starts and first steps are whole years, over which the parallax
     does not change.
     """
+    at = cache(at)
     shift: float = min(STARTS, key=at)
     for step in (8.0, 4.0, 2.0, 1.0):
         shift = min((shift, shift - step, shift + step), key=at)

@@ -122,9 +122,7 @@ def solve_link(setup: Setup, asked: Options, sources: solving.Sources | None = N
     except ValueError as error:  # LinkError is one
         raise SweepError(f"{error}{_rows_there_are(setup) if isinstance(error, LinkError) else ''}") from error
     for block, part in zip(unknowns.names, share.T, strict=True):
-        large = np.flatnonzero(part > solving.LARGE_SHARE)
-        if len(large):
-            large = large[np.argsort(-part[large])]
+        if large := sorted(np.flatnonzero(part > solving.LARGE_SHARE), key=part.__getitem__, reverse=True):
             named = ", ".join(f"{setup.names[places[k]]} ({100.0 * part[k]:.0f} %)" for k in large)
             notes.append(f"more than {100 * solving.LARGE_SHARE:.0f} % of the weight in {block}: {named}")
     odd = [note for note in setup.notes if mistakes.WHEN_NONE in note] if doubt.text else []
