@@ -16,7 +16,8 @@ import traceback
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
-from itertools import chain, groupby
+from functools import partial
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -60,10 +61,30 @@ class _Stream(io.TextIOBase):
         return number
 
 
+class _Snapshot:
+    """What a block may change of its process, as it is now: the working folder, the environment, the standard streams,
+    the filters of warnings.
+    """
+
+    def __init__(self) -> None:
+        self._folder, self._environment, self._variables = _working_folder(), _environment(), dict(os.environ)
+        self._streams, self._filters = (sys.stdin, sys.stdout, sys.stderr), list(warnings.filters)
+
+    def put_back(self) -> None:
+        """Undo what has changed since."""
+        if self._folder is not None and _working_folder() != self._folder:
+            with suppress(OSError):  # it may be gone
+                os.chdir(self._folder)
+        if _environment() != self._environment:
+            set_environment(self._variables)
+        sys.stdin, sys.stdout, sys.stderr = self._streams
+        if warnings.filters != self._filters:
+            _set_filters(self._filters)
+
+
 class _Routes:
-    """Standard output and error and warnings of this process while some of its threads are captured, and what is put
-    back of the process after each block: the working folder, the environment, the standard streams, the filters of
-    warnings.
+    """Standard output and error and warnings of this process while some of its threads are captured; the process is put
+    back after each block.
     """
 
     def __init__(self) -> None:
@@ -74,39 +95,29 @@ class _Routes:
         """Capture the calling thread."""
         with self._lock:
             if not self._threads:
-                self._before = sys.stdout, sys.stderr, warnings.showwarning, list(warnings.filters)
+                self._before, self._warn_before = _Snapshot(), warnings.showwarning
                 self._generators = np.random.get_state(), random.getstate()  # noqa: NPY002
                 sys.stdout, sys.stderr = _Stream(sys.stdout), _Stream(sys.stderr)
                 warnings.showwarning = self._warn  # type: ignore[assignment]
                 seldom = ("default", "module", "once")  # count all of these; keep "ignore" and "error"
                 _set_filters([("always" if f[0] in seldom else f[0], *f[1:]) for f in warnings.filters])
                 warnings.simplefilter("always", append=True)
-                self._folder, self._environment = _working_folder(), _environment()
-                self._variables, self._filters = dict(os.environ), list(warnings.filters)
-                self._streams = sys.stdin, sys.stdout, sys.stderr
+                self._between_blocks = _Snapshot()
             self._threads[threading.get_ident()] = captured
 
     def restore(self) -> None:
         """Undo what a captured thread has changed about the process."""
         with self._lock:
-            if not self._threads:
-                return
-            if self._folder is not None and _working_folder() != self._folder:
-                with suppress(OSError):  # it may be gone
-                    os.chdir(self._folder)
-            if _environment() != self._environment:
-                set_environment(self._variables)
-            sys.stdin, sys.stdout, sys.stderr = self._streams
-            if warnings.filters != self._filters:
-                _set_filters(self._filters)
+            if self._threads:
+                self._between_blocks.put_back()
 
     def end(self) -> None:
         """Stop capturing the calling thread."""
         with self._lock:
             del self._threads[threading.get_ident()]
             if not self._threads:
-                sys.stdout, sys.stderr, warnings.showwarning, filters = self._before
-                _set_filters(filters)
+                self._before.put_back()
+                warnings.showwarning = self._warn_before
                 np.random.set_state(self._generators[0])  # noqa: NPY002
                 random.setstate(self._generators[1])
 
@@ -121,7 +132,7 @@ class _Routes:
 
     def _warn(self, message: Any, category: type[Warning], filename: str, lineno: int, *rest: Any) -> None:
         if (captured := self.captured()) is None:
-            self._before[2](message, category, filename, lineno, *rest)
+            self._warn_before(message, category, filename, lineno, *rest)
             return
         text = f"{category.__name__}: {message} ({Path(filename).name}, line {lineno})"
         if text in captured.warnings or len(captured.warnings) < MOST_WARNINGS:
@@ -345,25 +356,61 @@ class _Computing:
     def __init__(self, task: Task, deadlines: Deadlines) -> None:
         self.task, self.who, self._deadlines = task, (task.experiment_reference, task.source_digest), deadlines
         self.experiment = load_experiment(task.experiment_reference, digest=task.source_digest)
+        self._kind = self.who, self.experiment.tolerance
 
     def results(self, apart: bool) -> Iterator[TaskResult]:
         """Yield the results of the units, one by one or unless ``apart`` of several together."""
-        task = self.task
-        may_be_together = self.experiment.vectorised and len(task.units) > 1 and not apart
-        if may_be_together and (together := self._points_together()) is not None:
-            yield together
-            return
-        with captured() if task.caught else nullcontext(Captured()) as said:
-            # no realisation is kept then, and no block has a time limit
-            is_alone = apart or task.keep_samples or task.time_limit_s is not None
-            several = self.experiment.evaluate_catalogues is not None and not is_alone
-            for units in alike(task.units) if several else [task.units]:
-                result = self._catalogues_together(units) if several else None
-                printed = said.taken()
-                if result is None:  # the units print it again, one by one
-                    yield from self._one_by_one(units, said)
-                else:
-                    yield _with_printed(result, printed)
+        with captured() if self.task.caught else nullcontext(Captured()) as said:
+            for units, result in self._computed(apart, said):
+                if printed := said.taken():
+                    result.said[0] = printed
+                self._repeat(units, result)
+                said.taken()  # what the second call says was said by the first
+                if wrong := _dependence.get(self._kind, ""):
+                    rows = range(len(result.seconds))
+                    result.outcomes, result.failures = {}, dict.fromkeys(rows, Failure("exception", wrong))
+                yield result
+
+    def _computed(self, apart: bool, said: Captured) -> Iterator[tuple[Sequence[PointBlock], TaskResult]]:
+        """Yield units and their result."""
+        for units in alike(self.task.units) if self.experiment.evaluate_catalogues else [self.task.units]:
+            if not apart and (together := self._together(units)) is not None:
+                yield units, together
+                continue
+            said.taken()  # the units print it again, one by one
+            for unit in units:
+                yield [unit], self._alone(unit)
+
+    def _together(self, units: Sequence[PointBlock]) -> TaskResult | None:
+        """Return the result of units from one call: of all points of a vectorised function, or of blocks of one point
+        with small catalogues.  None for others, and where it raises: one by one the units show which is to blame.
+        """
+        task, experiment, block = self.task, self.experiment, units[0].block
+        begun = time.perf_counter()
+        if experiment.vectorised and len(units) > 1:
+            got = self._outcomes(units[0], len(units) + CHECKED, lambda: self._checked(units))
+        elif block.n_cat > 1 and not task.keep_samples and task.time_limit_s is None and experiment.evaluate_catalogues:
+            # No realisation is kept so, and no block has a time limit.
+            points = [experiment.defaults() | point for point in units[0].points]
+            pairs = [pair for unit in units for pair in generators_of(task.seed, unit.stream, unit.block)]
+            n_cat = [unit.block.n_cat for unit in units]
+            call = partial(experiment.compute_catalogues, points, block.n_sim, pairs, n_cat)
+            got = self._outcomes(units[0], len(points), call)
+        else:
+            return None
+        if isinstance(got, BaseException):
+            return None
+        return TaskResult(np.full(len(got), (time.perf_counter() - begun) / len(got)), dict(enumerate(got)))
+
+    def _alone(self, unit: PointBlock) -> TaskResult:
+        """Return the result of a unit."""
+        result, rows = TaskResult.failed(len(unit.points)), list(range(len(unit.points)))
+        begun = time.perf_counter()
+        if not self._try(rows, unit, result) and len(rows) > 1:
+            for row in rows:  # which of those that share the draw is to blame?
+                self._try([row], unit, result)
+        result.seconds[:] = (time.perf_counter() - begun) / len(rows)
+        return result
 
     def _outcomes(
         self, unit: PointBlock, points: int, call: Callable[[], list[Outcome]], turn: int = 0
@@ -379,22 +426,6 @@ class _Computing:
             if is_interruption(error):
                 raise
             return error
-
-    def _one_by_one(self, units: Sequence[PointBlock], said: Captured) -> Iterator[TaskResult]:
-        """Yield the result of each of these units, with what was ``said`` meanwhile."""
-        for unit in units:
-            result = TaskResult.failed(len(unit.points))
-            rows = list(range(len(unit.points)))
-            begun = time.perf_counter()
-            if not self._try(rows, unit, result) and len(rows) > 1:
-                for row in rows:  # which of those that share the draw is to blame?
-                    self._try([row], unit, result)
-            _with_printed(result, said.taken())
-            result.seconds[:] = (time.perf_counter() - begun) / len(rows)
-            if 0 in result.outcomes:
-                self._repeat([unit], [result.outcomes[0]], float(result.seconds[0]), result)
-                said.taken()  # what the second call says was said by the first
-            yield result
 
     def _try(self, rows: list[int], unit: PointBlock, result: TaskResult) -> bool:
         """Compute some points of a unit and fill in these rows of its result; return whether that succeeded."""
@@ -413,69 +444,31 @@ class _Computing:
             result.failures.pop(row, None)
         return True
 
-    def _catalogues_together(self, units: tuple[PointBlock, ...]) -> TaskResult | None:
-        """Return the sums of blocks of one point whose catalogues are evaluated in one call.
-
-        None where they are large, and where the call raises: one by one the blocks show which is to blame.
-        """
-        n_cat = [unit.block.n_cat for unit in units]
-        if n_cat[0] == 1:
-            return None
-        points = [self.experiment.defaults() | point for point in units[0].points]
-        begun = time.perf_counter()
-
-        def call() -> list[Outcome]:
-            blocks = (generators_of(self.task.seed, unit.stream, unit.block) for unit in units)
-            pairs = list(chain.from_iterable(blocks))
-            return self.experiment.compute_catalogues(points, units[0].block.n_sim, pairs, n_cat)
-
-        got = self._outcomes(units[0], len(points), call)
-        return None if isinstance(got, BaseException) else _succeeded(got, time.perf_counter() - begun)
-
-    def _points_together(self) -> TaskResult | None:
-        """Return the results of all points from one call of a vectorised function, or None where it raises.
+    def _checked(self, units: Sequence[PointBlock]) -> list[Outcome]:
+        """Return what a vectorised function returns for the points of units.
 
         The first call in a process also computes some points alone; where a result differs, all points fail, in this
         call and later ones.
         """
-        units, experiment = self.task.units, self.experiment
-        points = [experiment.defaults() | unit.points[0] for unit in units]
-        who = self.who, experiment.tolerance
-        if wrong := _dependence.get(who, ""):
-            return TaskResult.failed(len(points), Failure("exception", wrong))
-        begun = time.perf_counter()
+        points = [self.experiment.defaults() | unit.points[0] for unit in units]
+        outcomes = self.experiment.compute(points, 1, ())
+        if self._kind not in _dependence:
+            wrong = dependence(self.experiment, points, outcomes, [unit.stream for unit in units])
+            if wrong or len(points) > CHECKED:
+                _dependence[self._kind] = wrong
+        return outcomes
 
-        def call() -> list[Outcome]:
-            outcomes = experiment.compute(points, 1, ())
-            if who not in _dependence:
-                wrong = dependence(experiment, points, outcomes, [unit.stream for unit in units])
-                if wrong or len(points) > CHECKED:
-                    _dependence[who] = wrong
-            return outcomes
-
-        with captured() as said:
-            outcomes = self._outcomes(units[0], len(points) + CHECKED, call)
-            if isinstance(outcomes, BaseException):
-                return None  # which point is to blame is found out one by one
-            seconds = time.perf_counter() - begun
-            result = _with_printed(_succeeded(outcomes, seconds), said.taken())
-            self._repeat(units, outcomes, seconds, result)
-        if wrong := _dependence.get(who, ""):
-            result.outcomes, result.failures = {}, dict.fromkeys(range(len(points)), Failure("exception", wrong))
-        return result
-
-    def _repeat(
-        self, units: Sequence[PointBlock], first: Sequence[Outcome], seconds: float, result: TaskResult
-    ) -> None:
-        """Call a repeatable function again at the points of some units, whose ``first`` call took so many ``seconds``,
-        and say in their result if it differs, or that another process is to do so.
+    def _repeat(self, units: Sequence[PointBlock], result: TaskResult) -> None:
+        """Call a repeatable function again at the points of some units, and say in their result if it then differs, or
+        that another process is to do so.
         """
-        if not self.task.repeatable or self.who in _agreed or seconds > LONGEST_S:
+        seconds = float(result.seconds.sum())
+        if not self.task.repeatable or not result.outcomes or self.who in _agreed or seconds > LONGEST_S:
             return
         if seconds > self.task.at_once_s:
             result.again = True
-            return
-        result.refused = self.how_calls_differ(units, first)
+        else:
+            result.refused = self.how_calls_differ(units, list(result.outcomes.values()))
 
     def how_calls_differ(self, units: Sequence[PointBlock], first: Sequence[Outcome]) -> str:
         """Call the function again at the points of some units; return a sentence if it then gives other results than
@@ -508,17 +501,6 @@ def alike(units: Sequence[PointBlock]) -> Iterator[tuple[PointBlock, ...]]:
         whole = tuple(group)
         most = max(1, MOST_CATALOGUES // max(unit.block.n_cat for unit in whole)) if small else len(whole)
         yield from (whole[first : first + most] for first in range(0, len(whole), most))
-
-
-def _succeeded(outcomes: Sequence[Outcome], seconds: float) -> TaskResult:
-    """Return the result of points that were computed in one call."""
-    return TaskResult(np.full(len(outcomes), seconds / len(outcomes)), dict(enumerate(outcomes)))
-
-
-def _with_printed(result: TaskResult, printed: Captured | None) -> TaskResult:
-    """Return a result with what was printed meanwhile, if anything was."""
-    result.said |= {} if printed is None else {0: printed}
-    return result
 
 
 def dependence(
