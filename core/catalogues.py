@@ -5,7 +5,7 @@ A new one is a subclass of `CatalogueKind` and its entry in `CATALOGUES`.
 
 import itertools
 from collections.abc import Callable, Hashable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
@@ -92,15 +92,14 @@ class Catalogue:
 
 @dataclass(frozen=True)
 class NestedDraw:
-    """Draw a catalogue of ``n_obj`` objects; from equal generators it is the beginning of any larger one of its family,
-    to which it compares equal.
+    """Draw a catalogue of ``n_obj`` objects; from equal generators it is the beginning of any larger one of its family.
 
     With ``takes_several`` it also draws several together, see `CatalogueKind.draws_several`.
     """
 
     family: Hashable
-    n_obj: int = field(compare=False)
-    draw: Callable[[np.random.Generator], Catalogue] = field(compare=False)
+    n_obj: int
+    draw: Callable[[np.random.Generator], Catalogue]
     takes_several: bool = False
 
     def __call__(self, rng: np.random.Generator) -> Catalogue:

@@ -18,7 +18,7 @@ the other side or another point needs.
 import math
 from bisect import insort
 from collections.abc import Callable, Hashable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal, NamedTuple
 
@@ -199,7 +199,6 @@ class Prefixes:
     """Arrays over objects that have been computed for a block; ask for those of the largest catalogue first."""
 
     def __init__(self) -> None:
-        self.setups: list[Setup] = []  # of which those of smaller catalogues may be the beginning
         self._known: dict[Hashable, list[tuple[tuple[Array, ...], Array]]] = {}
         self._products: dict[Hashable, Array] = {}
         self._objects: dict[Hashable, list[tuple[slice, Objects]]] = {}
@@ -349,13 +348,6 @@ class Setup:
     measured: tuple[bool, bool] = (True, True)  # positions, proper motions
     stack: Stack = ()
 
-    def head(self, scenario: Scenario, catalogue: Catalogue) -> "Setup":
-        """Return that of a smaller catalogue, of a scenario that is the same but for its size."""
-        cut = slice(len(catalogue))
-        reference, satellite = (replace(side, stated=side.stated[cut]) for side in (self.reference, self.satellite))
-        differences, sigma = self.differences[cut], self.sigma[cut]
-        return Setup(scenario, catalogue, self.truth, differences, reference, satellite, sigma)
-
     @property
     def n_obj(self) -> int:
         """The number of objects of one catalogue."""
@@ -401,9 +393,6 @@ def prepare(scenario: Scenario, catalogue: Catalogue, vectors: Array, shared: Pr
     Raises LinkError where they cannot be weighed, and for a stack in which only some catalogues have errors, or errors
     are correlated.
     """
-    for whole in shared.setups:
-        if whole.scenario == scenario:
-            return whole.head(scenario, catalogue)
     reference, satellite = (_noise(scenario, side, catalogue, shared) for side in ("reference", "satellite"))
     for side in (reference, satellite) if stack else ():
         if side.factor is not None:
@@ -419,11 +408,7 @@ def prepare(scenario: Scenario, catalogue: Catalogue, vectors: Array, shared: Pr
         sigma, kinds = frames.combined_error(*stated), frames.measured(np.add(*stated))
     glide = [-np.array(scenario.aberration)] if scenario.solve_glide else []
     truth, differences = np.concatenate([*vectors, *glide]), _differences(scenario, catalogue, vectors, shared)
-    setup = Setup(scenario, catalogue, truth, differences, reference, satellite, sigma, kinds, stack)
-    models = scenario.reference_errors, scenario.satellite_errors
-    if by_object and satellite.field is None and all(model.is_elementwise for model in models):
-        shared.setups.append(setup)
-    return setup
+    return Setup(scenario, catalogue, truth, differences, reference, satellite, sigma, kinds, stack)
 
 
 def _noise(scenario: Scenario, side: str, catalogue: Catalogue, shared: Prefixes) -> Noise:
