@@ -6,7 +6,7 @@ from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
-from itertools import accumulate, chain, groupby
+from itertools import accumulate, groupby
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -359,15 +359,13 @@ def _published(grid: Grid) -> dict[str, Variable]:
     outputs = {o.name: o for o in study.experiment.outputs if o.name not in study.axes and not o.dims}
     origin, rows = study.published.about.model_dump(exclude={"file", "where"}, exclude_none=True), study.published.rows
     named = [name for name in study.experiment.defaults() if name in rows[0] and name not in outputs]
-    gone = np.setdiff1d(np.arange(len(grid)), grid.indices()) if study.excluded else np.arange(0)
-    excluded = [(point.index, point.parameters) for point in grid.points(gone) if grid.excludes(point.parameters)]
     where = {**study.experiment.defaults(), **study.published.where}
     several = (name for name, values in study.axes.items() if len(set(map(_as_printed, values))) > 1)
     lacking = [name for name in several if name not in rows[0]]
     here = {n: {_as_printed(where[n]), _as_printed(None if n in study.when else where[n])} for n in lacking}
     origin |= {"without_column": ", ".join(here)} if here else {}
     there = defaultdict[tuple[float | str, ...], list[int]](list)
-    for index, parameters in chain(grid.parameters(), excluded):
+    for index, parameters in Grid(replace(study, excluded=())).parameters():
         if all(_as_printed(parameters[name]) in some for name, some in here.items()):
             there[tuple(_as_printed(parameters[name]) for name in named)].append(index)
     known = [{values[k] for values in there} for k in range(len(named))]

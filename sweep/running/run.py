@@ -6,12 +6,11 @@ every second, and as a dataset every few seconds.
 import json
 import math
 import time
-from collections import defaultdict
+from bisect import bisect_right
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence, Set
 from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import dataclass, replace
 from importlib import import_module
-from itertools import pairwise
 from pathlib import Path
 from threading import Event, RLock, Thread
 from timeit import timeit
@@ -68,12 +67,12 @@ def differences_of_code(records: Sequence[Mapping[str, Any]], study: Study) -> l
     return code_differences(old, now, "in the store", "now")
 
 
-def rows_of_other_code(store: Store, study: Study) -> set[int]:
-    """Return the rows of a ledger that were made by other code than a study's."""
+def made_by_other_code(store: Store, study: Study) -> set[bytes]:
+    """Return the digests of the points in a ledger of which other code than a study's has made a row."""
     records = records_of(store.attributes)
-    spans = pairwise([*(record["first_row"] for record in records), store.next_row])
-    others = [span for record, span in zip(records, spans, strict=True) if differences_of_code([record], study)]
-    return {row for span in others for row in range(*span)}
+    starts = [record["first_row"] for record in records]
+    are_other = [False, *(bool(differences_of_code([record], study)) for record in records)]
+    return {key[:DIGEST_BYTES] for key, row in store.rows.items() if are_other[bisect_right(starts, row)]}
 
 
 def defaults_alone(code: Mapping[str, str], other: Mapping[str, str]) -> dict[str, str]:
@@ -188,16 +187,18 @@ def require_known(study: Study, points: Callable[[Grid], Iterable[GridPoint]]) -
             raise SweepError(f"{why}; run that, or leave the earlier points out by --only (only=True)")
 
 
-def where_met(study: Study, points: Sequence[GridPoint], condition: str, made_by_other: Sequence[bool]) -> Flags:
-    """Return at which points of a study a condition of ``--redo`` is true; raises SweepError for one that is none."""
+def where_met(study: Study, points: Sequence[GridPoint], condition: str, old: Collection[bytes] = ()) -> Flags:
+    """Return at which points of a study a condition of ``--redo`` is true, with the digests of those that other code
+    made; raises SweepError for one that is none.
+    """
     import pandas as pd  # takes a quarter of a second
 
     texts = {name for p in points for name, value in p.parameters.items() if isinstance(value, str | Named)}
-    labelled = [texts.difference(study.missing(p.parameters)) for p in points]
-    table = [
-        {OLD: is_old} | {name: str(value) if name in some else value for name, value in p.parameters.items()}
-        for p, is_old, some in zip(points, made_by_other, labelled, strict=True)
-    ]
+    table = list[dict[str, Any]]()
+    for p in points:
+        labelled = texts.difference(study.missing(p.parameters))
+        values = {name: str(value) if name in labelled else value for name, value in p.parameters.items()}
+        table.append({OLD: p.digest in old} | values)
     columns = pd.DataFrame(table, index=range(len(points))).convert_dtypes()
     return rows_where(from_frame(columns), condition, "--redo", may_be_none=True)
 
@@ -210,19 +211,15 @@ def again_where(store: Store, study: Study, condition: str) -> dict[bytes, Recor
     """
     message = AGAIN + condition
     left = {digest for digest, record in store.failures.items() if record["message"] == message}
-    rows = defaultdict[bytes, list[int]](list)
-    for key, row in store.rows.items():
-        rows[key[:DIGEST_BYTES]].append(row)
-    other = rows_of_other_code(store, study)
-    failed = store.failures.keys() if differences_of_code(records_of(store.attributes), study) else set[bytes]()
-    points = [point for point in Grid(study).points() if point.digest in rows or point.digest in store.failures]
-    made_by_other = [p.digest in failed or not other.isdisjoint(rows[p.digest]) for p in points]
-    met = where_met(study, points, condition, made_by_other) if points else ()
+    there = {key[:DIGEST_BYTES] for key in store.rows} | store.failures.keys()
+    made = made_by_other_code(store, study)
+    old = made | store.failures.keys() if differences_of_code(records_of(store.attributes), study) else made
+    points = [point for point in Grid(study).points() if point.digest in there]
+    met = where_met(study, points, condition, old) if points else ()
     record = {"kind": "again", "message": message, "traceback": "", "host": host(), "when": now()}
-    known = {point.digest for point in points}
-    again = dict[bytes, Record | None].fromkeys(d for d in rows.keys() - known if not other.isdisjoint(rows[d]))
-    for point, is_met, is_old in zip(points, met, made_by_other, strict=True):
-        if point.digest in left or (is_met and (is_old or not left)):
+    again = dict[bytes, Record | None].fromkeys(made.difference(point.digest for point in points))
+    for point, is_met in zip(points, met, strict=True):
+        if point.digest in left or (is_met and (point.digest in old or not left)):
             again[point.digest] = {"place": describe(study, point.parameters), **record}
     return again
 
@@ -374,7 +371,6 @@ class Writer:
         self._stamps: dict[str, float] = {}
         self._steady = store.next_row
         self._lock = RLock()  # of the store
-        self._unflushed = False
         self._problem: Exception | None = None
         self._rescued: str | None = None
         self._ended = Event()
@@ -418,7 +414,6 @@ class Writer:
             keys = [ledger_key(point.digest, block) for point, block in map(points.__getitem__, good)]
             self.store.append(keys, rows, samples, result.seconds[good])
             self.store.clear_failures(point.digest for point in ended if point.index not in failed)
-            self._unflushed = True
             if time.monotonic() - self._flushed > TUNED.flush_every_s:
                 self.flush()
         realisations = sum(points[row][1].realisations for row in good)
@@ -554,7 +549,6 @@ class Writer:
                 raise self._problem
             changed = self._changed_file()
             self.store.flush()
-            self._unflushed = False
             self._flushed = time.monotonic()
             if changed:
                 why = 'has changed during the run: --redo old (redo="old") computes again what was computed meanwhile'
@@ -582,7 +576,7 @@ class Writer:
     def _flush_late(self) -> None:
         while not self._ended.wait(TUNED.latest_flush_s):
             with self._lock:
-                if self._unflushed and not self._ended.is_set():
+                if not self._ended.is_set():
                     try:
                         self.flush()
                     except Exception as error:  # raised by the next flush, in the thread of the run
@@ -679,8 +673,7 @@ class Session:
             if retry:
                 raise SweepError("no store is there whose failed points could be computed again", str(where))
             if beside.redo:
-                points = list(grid.points())
-                where_met(study, points, beside.redo, [False] * len(points))
+                where_met(study, list(grid.points()), beside.redo)
             return cls(where, Accumulator(Plan(grid)), None, is_new=True)
         store = open_store(opened, study, writes)
         study, whole, wanted = with_stored(store, study, beside.only)
