@@ -151,8 +151,8 @@ class Grid:
                 yield GridPoint(index, parameters, digest, stream)
 
     def _raw(self, indices: NDArray[np.intp]) -> Iterator[tuple[dict[str, Any], list[str], bool]]:
-        """Yield the parameters of points, None for those without effect, the names of these, and whether the study has
-        the point: neither excludes it nor has it at another place along an axis without effect.
+        """Yield the parameters of points, None for those without effect or at the place for these, the names of those
+        without effect, and whether the study has the point: neither excludes it nor has it at another place.
         """
         places = zip(self.rows.values(), self._places(indices), strict=True)
         along = [map(rows.__getitem__, numbers) for rows, numbers in places]  # the values, point by point
@@ -164,7 +164,7 @@ class Grid:
             if self.study.when:
                 gone = self.study.missing(parameters)
                 is_there = all((parameters[name] is NO_EFFECT) == (name in gone) for name in self._lacking)
-                parameters.update(dict.fromkeys(gone))
+                parameters.update(dict.fromkeys([*gone, *(n for n in self._lacking if parameters[n] is NO_EFFECT)]))
             yield parameters, gone, is_there and not (self.study.excluded and self.excludes(parameters, gone))
 
     def idle(self, indices: NDArray[np.intp]) -> set[str]:
