@@ -40,6 +40,7 @@ from linksweep.sweep.contract.experiment import (
 from linksweep.sweep.formatting import first_of, is_missing
 from linksweep.sweep.functions.results import unit_of
 from linksweep.sweep.studies.study import POINT, Form, PointsForm, PointTable, Sampling, number_at
+from linksweep.sweep.tables import options
 from linksweep.sweep.tables.columns import content_digest, rows_listed, table_file
 from linksweep.sweep.tables.reader import BRACKETS, read_table
 
@@ -644,14 +645,12 @@ def _read_cells(cells: list[Any], parameter: Parameter) -> list[Any]:
 
 def read_cell(cell: Any, kind: str, marks: Mapping[int, Any] = NO_MARKS) -> Any:
     """Return what a cell with text is for a parameter that is no text, the cell itself where it is nothing else."""
-    if not isinstance(cell, str) or "_" in cell:  # which Python allows between digits
+    if not isinstance(cell, str):
         return cell
     if kind == "bool":  # of pandas and NumPy True, of TOML true, of spreadsheets TRUE
         return {"true": True, "false": False}.get(cell.lower(), cell)
-    for number in (int, float):
-        with suppress(ValueError):
-            return number(cell.translate(marks))
-    return cell
+    found = options.number(cell.translate(marks))
+    return cell if isinstance(found, str) else found
 
 
 def column_of(column: Any, is_whole: bool = False) -> Column:

@@ -563,27 +563,23 @@ class _Reader:
         return Form.model_validate({"title": "", **whole}), experiment, not {"axes", "points"} & form
 
     def _portable(self, form: Form) -> dict[str, Any]:
-        """Return the sections that a store has as they are written, with absolute paths of files."""
+        """Return the sections that a store has as they are written, with references and files that work from any
+        directory.
+        """
         sections = {key: self.document[key] for key in SECTIONS if key in self.document}
-        if form.define:
-            sections["define"] = {
-                name: {
-                    word: {key: self._absolute(raw) for key, raw in table.items()} for word, table in by_name.items()
-                }
-                for name, by_name in form.define.items()
-            }
+        sections |= {"define": self._absolute(form.define)} if form.define else {}
         if form.published is not None:
-            file = str((self.folder / form.published.file).resolve())
-            sections["published"] = sections["published"] | {"file": file}
+            sections["published"] = sections["published"] | {"file": str((self.folder / form.published.file).resolve())}
         return sections
 
     def _absolute(self, raw: Any) -> Any:
-        """Return a reference as it works from any directory, anything else as it is."""
+        if isinstance(raw, dict):
+            return {key: self._absolute(one) for key, one in raw.items()}
         return self.loaded.get(raw, raw) if isinstance(raw, str) else raw
 
     def _defined(self, experiment: Experiment, tables: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Experiment:
         """Return the experiment with the values that the tables [define.PARAMETER.NAME] define."""
-        known = {one.name: one for one in experiment.parameters}
+        defined: dict[str, tuple[Named, ...]] = {}
         for name, by_name in tables.items():
             with self.problems.at(("define", name, *list(by_name)[:1])):
                 parameter = experiment.parameter(name)
@@ -596,9 +592,10 @@ class _Reader:
                     if word in parameter.choices:
                         taken = f"{shown(word)} is there already; take another name"
                         self.problems.add(("define", name, word), taken)
-                defined = [self._named(parameter.define, ("define", name, word), by_name[word]) for word in by_name]
-                known[name] = replace(parameter, defined=tuple(defined))
-        return replace(experiment, parameters=tuple(known.values()))
+                makes = parameter.define
+                defined[name] = tuple(self._named(makes, ("define", name, word), by_name[word]) for word in by_name)
+        changed = (replace(one, defined=defined.get(one.name, ())) for one in experiment.parameters)
+        return replace(experiment, parameters=tuple(changed)) if defined else experiment
 
     def _named(self, define: Callable[..., Any], place: tuple[str, str, str], table: Mapping[str, Any]) -> Named:
         """Return the value that a table defines, with the functions that it names."""

@@ -116,7 +116,7 @@ def _checked(one: Field[Any], value: Any) -> Any:
 
 def number(text: str) -> Any:
     """Return the number that a text is, or the text."""
-    for kind in (int, float):
+    for kind in (int, float) if "_" not in text else ():  # which Python allows between digits
         with suppress(ValueError):
             return kind(text)
     return text

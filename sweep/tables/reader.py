@@ -82,6 +82,8 @@ def read_table(path: Path, texts: Collection[str] = ()) -> Any:
     and the row where there is one, for what cannot be read.
     """
     try:
+        if not path.is_file():  # a device or a pipe may have no end
+            raise SweepError("no such file")
         content = path.read_bytes()
         # about units and headers that do not matter for the columns that are used
         with warnings.catch_warnings(action="ignore"):
@@ -89,8 +91,6 @@ def read_table(path: Path, texts: Collection[str] = ()) -> Any:
             _add_degrees(table)
         return table
     except OSError as error:
-        if not path.exists():
-            raise SweepError("no such file", str(path)) from error
         raise SweepError(f"cannot be read: {error.strerror or error}", str(path)) from error
     except (SweepError, ValueError) as error:  # the latter of delimited text
         raise SweepError(getattr(error, "problems", str(error)), str(path)) from error
