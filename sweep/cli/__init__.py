@@ -14,6 +14,7 @@ import inspect
 import io
 import multiprocessing
 import os
+import select
 import shutil
 import signal
 import sys
@@ -382,7 +383,7 @@ class _Group(click.Group):
             except SystemExit as end:
                 # A full disk is noticed only now where the output was short.
                 sys.stdout.flush()
-                if (problem := getattr(sys.stdout, "problem", None)) is None:
+                if (problem := _Unfailing.problem) is None:
                     raise
                 if problem.errno == errno.EPIPE:
                     sys.exit(128 + signal.SIGPIPE)
@@ -513,32 +514,25 @@ def _kill_children() -> None:
         child.kill()
 
 
-class _Unfailing(io.TextIOWrapper):
-    """A stream that keeps the first ``problem`` of writing to it instead of raising it.
+class _Unfailing(io.FileIO):
+    """A stream that loses what cannot be written instead of failing; ``problem`` is the first one with results.
 
     That the reader of results has gone, as `head` does, is raised once: click then ends the command quietly.
     """
 
     problem: OSError | None = None
 
-    def write(self, text: str) -> int:
-        with self._kept():
-            super().write(text)
-        return len(text)
-
-    def flush(self) -> None:
-        with self._kept():
-            super().flush()
-
-    @contextmanager
-    def _kept(self) -> Iterator[None]:
+    def write(self, data: Any) -> int:
         try:
-            yield
+            while (written := super().write(data)) is None:
+                select.select((), (self,), ())  # the pipe is full, and does not block
+            return written
         except OSError as error:
-            is_first = self.problem is None
-            self.problem = self.problem or error
-            if is_first and error.errno == errno.EPIPE and self.fileno() != 2:
-                raise
+            if self.fileno() != 2 and _Unfailing.problem is None:
+                _Unfailing.problem = error
+                if error.errno == errno.EPIPE:
+                    raise
+            return len(data)
 
 
 class _Harmless:
@@ -599,8 +593,9 @@ def prepare_streams() -> None:
         if stream is None or isinstance(stream, io.TextIOWrapper):
             # Without a buffer, what does not go out in one write would be lost.
             lines = any(getattr(stream, kind, False) for kind in ("line_buffering", "write_through"))
-            file = open(descriptor, "wb", closefd=False)  # noqa: SIM115
-            setattr(sys, name, _Unfailing(file, getattr(stream, "encoding", "utf-8"), "backslashreplace", None, lines))
+            file = io.BufferedWriter(_Unfailing(descriptor, "wb", closefd=False))
+            encoding = getattr(stream, "encoding", "utf-8")
+            setattr(sys, name, io.TextIOWrapper(file, encoding, "backslashreplace", None, lines))
 
 
 def put(text: str = "") -> None:
