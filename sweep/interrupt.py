@@ -5,8 +5,8 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext
 from types import FrameType
 from typing import Any
 
@@ -19,6 +19,20 @@ LOST_S = 0.2
 def how_ended(name: str) -> str:
     """Return what the user is told when the signal of this name has ended a command."""
     return "interrupted" if name == "SIGINT" else f"stopped by {name}"
+
+
+@contextmanager
+def answered(handler: Callable[[int, FrameType | None], None]) -> Iterator[dict[int, Any]]:
+    """Let a handler answer the signals in this block, but those that are ignored; give what answered each before."""
+    # nohup ignores one on purpose; Python could not restore None
+    before = {n: one for n in SIGNALS if (one := signal.getsignal(n)) not in (signal.SIG_IGN, None)}
+    for number in before:
+        signal.signal(number, handler)
+    try:
+        yield before
+    finally:
+        for number, one in before.items():
+            signal.signal(number, one)
 
 
 class RunInterruptedError(KeyboardInterrupt):
@@ -44,7 +58,6 @@ class Interruptions:
     def __init__(self) -> None:
         self.received: int | None = None
         self._holding = self._owed = self._lost = self._watching = False
-        self._before: dict[int, Any] = {}
         self._deciding = threading.Lock()
 
     @contextmanager
@@ -62,25 +75,19 @@ class Interruptions:
             self._owed = False
             raise KeyboardInterrupt
 
-    def watch(self) -> None:
-        """Begin to handle signals."""
-        for number in SIGNALS:
-            before = signal.getsignal(number)
-            if before not in (signal.SIG_IGN, None):  # nohup ignores it on purpose; Python could not restore None
-                self._before[number] = before
-                signal.signal(number, self._answer)
-        self._unraisable_before, sys.unraisablehook = sys.unraisablehook, self._unraisable
+    @contextmanager
+    def watched(self) -> Iterator[None]:
+        """Handle signals in this block."""
         self._watching = True
-
-    def restore(self) -> None:
-        """Give the signals back to their previous handlers."""
-        with self._deciding:
-            self._watching = False
-        for number, before in self._before.items():
-            signal.signal(number, before)
-        if sys.unraisablehook == self._unraisable:
-            sys.unraisablehook = self._unraisable_before
-        self._before = {}
+        with answered(self._answer) as self._before:
+            self._unraisable_before, sys.unraisablehook = sys.unraisablehook, self._unraisable
+            try:
+                yield
+            finally:
+                with self._deciding:
+                    self._watching = False
+                if sys.unraisablehook == self._unraisable:
+                    sys.unraisablehook = self._unraisable_before
 
     def _answer(self, number: int, frame: FrameType | None) -> None:
         if self.received is not None and not self._lost:
@@ -140,17 +147,14 @@ def watched() -> Iterator[Interruptions]:
 
     Only the main thread can handle signals: in another thread they are not watched.
     """
-    interruptions = Interruptions()
-    if threading.current_thread() is threading.main_thread():
-        interruptions.watch()
+    interruptions, is_main = Interruptions(), threading.current_thread() is threading.main_thread()
     try:
-        yield interruptions
+        with interruptions.watched() if is_main else nullcontext():
+            yield interruptions
     except BaseException as stop:
         if not _is_interrupt(stop):
             raise
         raise RunInterruptedError(interruptions.received or signal.SIGINT) from stop
-    finally:
-        interruptions.restore()
 
 
 def _is_interrupt(error: BaseException) -> bool:

@@ -35,7 +35,7 @@ from click.shell_completion import CompletionItem
 import linksweep
 from linksweep.sweep.executing.pools import MOST_WORKERS
 from linksweep.sweep.formatting import COMMAND, ESCAPED, WIDTH, harmless
-from linksweep.sweep.interrupt import SIGNALS, RunInterruptedError, how_ended, watched
+from linksweep.sweep.interrupt import RunInterruptedError, answered, how_ended, watched
 from linksweep.sweep.studies import built_in_studies
 
 if TYPE_CHECKING:
@@ -463,18 +463,13 @@ def a_signal_ends_the_command() -> Iterator[None]:
     A run inside the block handles the first of them itself and ends in good order; a signal that arrives here is a
     further one, or came before the run.
     """
-    answered = {number: signal.getsignal(number) for number in SIGNALS}
-    before = {number: handler for number, handler in answered.items() if handler not in (signal.SIG_IGN, None)}
-    for number in before:
-        signal.signal(number, _leave_at_once)
-    # In `sys.warnoptions`, because only what stands there is passed on to processes that Python starts.
-    sys.warnoptions.append(NO_LEAK_WARNING)
-    try:
-        yield
-    finally:
-        sys.warnoptions.remove(NO_LEAK_WARNING)
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    with answered(_leave_at_once):
+        # In `sys.warnoptions`, because only what stands there is passed on to processes that Python starts.
+        sys.warnoptions.append(NO_LEAK_WARNING)
+        try:
+            yield
+        finally:
+            sys.warnoptions.remove(NO_LEAK_WARNING)
 
 
 def end_stopped(number: int) -> NoReturn:
