@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
 from itertools import product
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -42,13 +42,7 @@ WIDE_COLOURS = 20.0  # values that span more than this factor have logarithmic c
 LARGEST = 1e307  # beyond it, the ends of an axis or what lies between them may be no floats
 FAR = 30.0  # series whose largest values differ by more than this factor need panels with axes of their own
 
-OPEN: dict[str, Any] = {
-    "linestyle": "none",
-    "marker": "o",
-    "markersize": 4.5,
-    "fillstyle": "none",
-    "markeredgewidth": 0.8,
-}
+OPEN: dict[str, Any] = style.marks(0, 4.5, color="0.15", fillstyle="none", markeredgewidth=0.8)
 # Dashes of predictions have one of the first two widths, or together the third, in points of print.
 NARROWEST_DASH, WIDEST_DASH, ALL_DASHES = 3.0, 10.0, 150.0
 EDGE_PT = WIDEST_DASH / 2.0 + 2.0  # what a mark at the end of an axis needs, so that it is not cut off
@@ -117,7 +111,7 @@ def _study_figure(dataset: xr.Dataset, kind: str | None, variables: list[str], o
     one_point = len(single) == dataset["status"].ndim
     only_samples = one_point and not variables and not any(name in dataset.coords for name in over)
     if sampled(dataset) is not None and (kind == "scatter" or (kind is None and only_samples)):
-        return _draw(dataset, dataset.squeeze(single), "scatter", variables, over)
+        return _draw(dataset.squeeze(single), "scatter", variables, over)
     if (dataset["status"].values == Status.EXCLUDED).all():
         raise SweepError("every point is excluded by the study")
     names = variables or [quantity.main_quantity(dataset)]
@@ -135,7 +129,7 @@ def _study_figure(dataset: xr.Dataset, kind: str | None, variables: list[str], o
         raise SweepError(f"no {chosen} of {names[0]} here; possible are {', '.join(possible) or 'none'}")
     if chosen in ("law", "map", "pairs") and len(names) > 1:
         raise SweepError(f"a figure of the kind {chosen} is of one variable, not of {', '.join(names)}")
-    return _draw(dataset, part, chosen, names, over)
+    return _draw(part, chosen, names, over)
 
 
 def _as_its_study_says(dataset: xr.Dataset) -> tuple[xr.Dataset, str | None, list[str], list[str]]:
@@ -170,16 +164,15 @@ def _where_known(dataset: xr.Dataset, variable: str) -> xr.Dataset:
 
 def _suitable(dataset: xr.Dataset, variable: str, over: Sequence[str]) -> str:
     array, numeric = dataset[variable], quantity.numeric_axes(dataset, variable)
-    varied = quantity.varied_parameters(dataset)
-    if POINT in array.dims and varied and all(name in varied for name in over):
+    if _has_points(dataset, variable):
         is_long = any(dataset[n].size >= CURVE_POINTS for n in quantity.numeric_axes(dataset, variable, "ifM"))
-        return "curves" if not over and is_long else "points"
-    if POINT in array.dims and varied and len(over) == 1:
-        return "curves"
+        if set(over) <= set(quantity.varied_parameters(dataset)):
+            return "curves" if is_long and not over else "points"
+        if len(over) == 1:
+            return "curves"
     if len(over) == 2:
         return "map"
-    slopes = [claim.slope for claim in quantity.claims_of(dataset) if claim.slope is not None]
-    laws = [(slope.variable, slope.over) for slope in slopes]
+    laws = [(one.slope.variable, one.slope.over) for one in quantity.claims_of(dataset) if one.slope is not None]
     linear = any(dataset[name].attrs.get(style.SCALE) == "linear" for name in (variable, *numeric))
     is_law = any((variable, axis) in laws for axis in numeric) and not (dataset["status"] == Status.RUNNING).any()
     if is_law and not over and not linear and array.ndim == 1:
@@ -189,13 +182,13 @@ def _suitable(dataset: xr.Dataset, variable: str, over: Sequence[str]) -> str:
     return "map" if not over and len(long) == 2 and panels <= MAP_PANELS else "lines"
 
 
-def _draw(whole: xr.Dataset, part: xr.Dataset, kind: str, variables: list[str], over: Sequence[str]) -> Figure:
+def _draw(dataset: xr.Dataset, kind: str, variables: list[str], over: Sequence[str]) -> Figure:
     """Return a figure with the title of the study, the values that all points share, and whether points are missing."""
-    figure: Figure = KINDS["grid"][kind].load().draw(part, variables, over)
-    axes = [str(n) for n, c in part.coords.items() if not c.dims and not str(n).endswith("_unit")]
-    shared = style.values_text(part, {name: quantity.listed(part, name, [])[0] for name in axes})
-    words = f"INCOMPLETE: {quantity.lacking(part)}" if _is_unfinished(part) else ""
-    figure.set_label(title := str(whole.attrs.get("title", "")))
+    figure: Figure = KINDS["grid"][kind].load().draw(dataset, variables, over)
+    axes = [str(n) for n, c in dataset.coords.items() if not c.dims and not str(n).endswith("_unit")]
+    shared = style.values_text(dataset, {name: quantity.listed(dataset, name, [])[0] for name in axes})
+    words = f"INCOMPLETE: {quantity.lacking(dataset)}" if _is_unfinished(dataset) else ""
+    figure.set_label(title := str(dataset.attrs.get("title", "")))
     style.complete(figure, "\n".join(filter(None, (title, shared, words))))
     return figure
 
@@ -208,15 +201,12 @@ def _require_values(dataset: xr.Dataset, names: list[str]) -> None:
     """Raise SweepError for components of several units, which cannot share an axis, for numbers of which matplotlib
     cannot make an axis, and where none has a value.
     """
-    for name in names:
-        for dimension in dataset[name].dims:
-            units = dataset.coords.get(f"{dimension}_unit", xr.DataArray([""]))
-            if len(several := dict.fromkeys(units.values.tolist())) > 1:
-                how = f"choose one with --at {dimension}={dataset[dimension].values[0]}"
-                raise SweepError(f"{name} has components in {' and '.join(several)}; {how}")
+    for name, d in [(n, d) for n in names for d in dataset[n].dims if f"{d}_unit" in dataset.coords]:
+        if len(several := dict.fromkeys(dataset[f"{d}_unit"].values.tolist())) > 1:
+            how = f"choose one with --at {d}={dataset[d].values[0]}"
+            raise SweepError(f"{name} has components in {' and '.join(several)}; {how}")
     for name in [n for n in (*names, *map(str, dataset.coords)) if dataset[n].dtype.kind == "f"]:
-        sizes = np.abs(dataset[name].values)
-        if (sizes[np.isfinite(sizes)] > LARGEST).any():
+        if (np.nan_to_num(np.abs(dataset[name].values), posinf=0.0) > LARGEST).any():
             raise SweepError(f"{name} has numbers beyond {LARGEST:g}, which cannot be drawn")
     if not any(np.isfinite(dataset[name].values).any() for name in names):
         why = f": {quantity.lacking(dataset)}" if _is_unfinished(dataset) else ""
@@ -229,36 +219,28 @@ Draw = Callable[[Axes, xr.Dataset, str], None]
 """A function that draws a variable of a dataset into a panel."""
 
 
-class Layout(NamedTuple):
-    """Dimensions that become columns and rows of panels; ``far`` if columns differ so much that each needs a scale of
-    its own.  All others become colours.
+def panel_dimensions(dataset: xr.Dataset, variable: str, axis: str) -> tuple[list[str], str | None]:
+    """Return the dimensions of a variable drawn along an axis that become panels, rows before columns, and that along
+    which values differ by more than `FAR`, so that each panel needs a scale of its own.  All others become colours.
+
+    The dimension along which values differ most becomes columns, if there are several or that is far.  Of three or more
+    one becomes rows.
     """
+    array, left = dataset[variable], _others(dataset, variable, [axis])
+    few = [d for d in left[:1] if array.sizes[d] <= len(style.COLOURS)]
+    far = next((d for d in few if _separation(array, d) > FAR), None)
+    if len(left) < 3:
+        return (left[:1] if far or len(left) == 2 else []), far
+    return [min(left[1:], key=lambda d: (array[d].dtype.kind not in "if", array.sizes[d])), left[0]], far
 
-    columns: str | None = None
-    rows: str | None = None
-    far: bool = False
 
-
-def arrange(dataset: xr.Dataset, variable: str, along: Sequence[str], series: bool = True) -> Layout:
-    """Return the layout of the dimensions of a variable other than those of the axes it is drawn ``along``.
-
-    The dimension along which values differ most becomes columns, if there are several or values differ by more than
-    `FAR`.  The others become colours, and one of them rows if there are three or more.  With ``series = False`` none
-    becomes colours, and all share a scale.
+def _others(dataset: xr.Dataset, variable: str, along: Sequence[str]) -> list[str]:
+    """Return the dimensions of a variable, but for those of the axes it is drawn ``along``: where values differ most
+    comes first.
     """
     array, used = dataset[variable], {dataset[axis].dims[0] for axis in along}
     left = [str(d) for d in array.dims if d not in used and array.sizes[d] > 1]
-    left.sort(key=lambda d: -_separation(array, d))
-    if not series and len(left) > 2:
-        raise _too_many(dataset, left)
-    columns = left[0] if left else None
-    far = bool(series and left) and _separation(array, left[0]) > FAR and array.sizes[left[0]] <= len(style.COLOURS)
-    rows = None
-    if len(left) > (2 if series else 1):  # the one with the fewest numbers
-        rows = min(left[1:], key=lambda d: (array[d].dtype.kind not in "if", array.sizes[d]))
-    if series and len(left) == 1 and not far:
-        columns = None
-    return Layout(columns, rows, far)
+    return sorted(left, key=lambda d: -_separation(array, d))
 
 
 def _too_many(dataset: xr.Dataset, dimensions: Sequence[str]) -> SweepError:
@@ -273,34 +255,22 @@ def _separation(array: xr.DataArray, dimension: str) -> float:
     return float(largest.max() / largest.min()) if largest.size else 1.0
 
 
-def series_of(dataset: xr.Dataset, variable: str, *along: str) -> list[tuple[str, xr.Dataset]]:
-    """Return what has a colour of its own: the part of a dataset for every combination of the dimensions of a variable,
-    except those it is drawn ``along``, that has a value, with its name; raises SweepError for more parts than colours.
+def draw_panels(
+    dataset: xr.Dataset, variables: list[str], draw: Draw, dimensions: Sequence[str] = (), far: str | None = None
+) -> Figure:
+    """Return a figure with a panel for each combination along some dimensions and each variable; the last of these are
+    columns.
+
+    Panels that would be empty are left out.  Those along ``far`` have axes and units of their own.  If the figure is
+    too narrow for the columns, they continue in further rows.
     """
-    others = [str(d) for d in dataset[variable].dims if d not in along]
-    everything = [dataset.isel(place) for place in quantity.places_along(dataset, others)]
-    parts = [one for one in everything if np.isfinite(one[variable].values).any()]  # a study may exclude the others
-    if len(parts) > len(style.COLOURS):
-        raise _too_many(dataset, others)
-    named = [d for d in others if d in dataset.coords and dataset.sizes[d] > 1]
-    return [(style.values_text(dataset, {d: quantity.listed(one, d, [])[0] for d in named}), one) for one in parts]
-
-
-def draw_panels(dataset: xr.Dataset, variables: list[str], layout: Layout, draw: Draw) -> Figure:
-    """Return a figure of panels: columns and rows as the layout says, variables as columns if there are several.
-
-    Panels that would be empty are left out.  Those whose values differ by orders of magnitude have axes and units of
-    their own.  If the figure is too narrow for the columns, they continue in further rows.
-    """
-    columns, rows, far = layout
-    if len(variables) > 1:
-        if rows is not None:
-            raise SweepError("several variables leave room for one dimension of panels: fix others by --at AXIS=VALUE")
-        columns, rows = None, columns
-    panels = list(_panels(dataset, variables, columns, rows, layout.columns if far else None))
+    counts = [*(dataset.sizes[d] for d in dimensions), *([len(variables)] if len(variables) > 1 else [])]
+    if len(counts) > 2:
+        raise SweepError("several variables leave room for one dimension of panels: fix others by --at AXIS=VALUE")
+    panels = list(_panels(dataset, variables, dimensions, far))
     if len(panels) > MOST_PANELS:
-        raise _too_many(dataset, [d for d in (columns, rows) if d is not None])
-    wanted = len(panels) if rows is None else len(variables) * (dataset.sizes[columns] if columns else 1)
+        raise _too_many(dataset, dimensions[::-1])
+    wanted = counts[-1] if len(counts) == 2 else len(panels)
     down = -(-len(panels) // min(style.most_columns(wanted), MOST_ACROSS))  # rounded up
     across = -(-len(panels) // down)
     size = (6.4, 4.4) if len(panels) == 1 else (1.2 + 3.1 * across, 1.2 + 2.4 * down)
@@ -325,26 +295,57 @@ def draw_panels(dataset: xr.Dataset, variables: list[str], layout: Layout, draw:
 
 
 def _panels(
-    dataset: xr.Dataset, variables: list[str], columns: str | None, rows: str | None, far: str | None
+    dataset: xr.Dataset, variables: list[str], dimensions: Sequence[str], far: str | None
 ) -> Iterator[tuple[xr.Dataset, str, str, tuple[Any, ...]]]:
     """Yield the panels that have anything to show, row by row: the part of the dataset in readable units, the variable,
     the title, and what shares the y axis; those along ``far`` have units of their own.
     """
-    across = list(product(variables, quantity.places_along(dataset, [columns] if columns else [])))
     wholes = dict[tuple[Any, ...], xr.Dataset]()  # of all panels that share an axis: arrays may be large
-    for row in quantity.places_along(dataset, [rows] if rows else []):
-        for name, column in across:
-            place = row | column
-            alone = {d: i for d, i in place.items() if d == far}
-            shares = (name, *alone.items())
-            if shares not in wholes:
-                whole = quantity.in_readable_units(dataset.isel(alone))
-                scale = "log" if style.is_logarithmic(whole[name]) else "linear"
-                wholes[shares] = whole.assign({name: whole[name].assign_attrs({style.SCALE: scale})})
-            part = wholes[shares].isel({d: i for d, i in place.items() if d not in alone})
-            if np.isfinite(part[name].values.astype(float)).any():
-                values = {d: quantity.listed(dataset, d, [d])[i] for d, i in place.items()}
-                yield part, name, style.values_text(dataset, values), shares
+    for place, name in product(quantity.places_along(dataset, dimensions), variables):
+        alone = {d: i for d, i in place.items() if d == far}
+        shares = (name, *alone.items())
+        if shares not in wholes:
+            whole = quantity.in_readable_units(dataset.isel(alone))
+            scale = "log" if style.is_logarithmic(whole[name]) else "linear"
+            wholes[shares] = whole.assign({name: whole[name].assign_attrs({style.SCALE: scale})})
+        part = wholes[shares].isel({d: i for d, i in place.items() if d != far})
+        if np.isfinite(part[name].values.astype(float)).any():
+            values = {d: quantity.listed(dataset, d, [d])[i] for d, i in place.items()}
+            yield part, name, style.values_text(dataset, values), shares
+
+
+# Series
+
+Series = tuple[str, dict[str, Any], xr.Dataset]
+"""What has a colour of its own: its name, colour and marker, and the part of a dataset."""
+
+
+def series_of(dataset: xr.Dataset, variable: str, *along: str, numbers: dict[str, int] | None = None) -> list[Series]:
+    """Return the series of a variable: its parts that have a value, for every combination of its dimensions except
+    those it is drawn ``along``; raises SweepError for more parts than colours.
+
+    ``numbers`` holds the number of each series, by its name, for all panels of a figure: each keeps its colour even if
+    another series has no values in a panel.
+    """
+    others = [str(d) for d in dataset[variable].dims if d not in along]
+    everything = [dataset.isel(place) for place in quantity.places_along(dataset, others)]
+    parts = [one for one in everything if np.isfinite(one[variable].values).any()]  # a study may exclude the others
+    if len(parts) > len(style.COLOURS):
+        raise _too_many(dataset, others)
+    named = [d for d in others if d in dataset.coords and dataset.sizes[d] > 1]
+    names = [style.values_text(dataset, {d: quantity.listed(one, d, [])[0] for d in named}) for one in parts]
+    steps, numbers = _steps(dataset, variable, *along), {} if numbers is None else numbers
+    for name in (*steps, *names):
+        numbers.setdefault(name, len(numbers))
+    return [(name, style.series(numbers[name], len(steps)), one) for name, one in zip(names, parts, strict=True)]
+
+
+def _steps(dataset: xr.Dataset, variable: str, *along: str) -> list[str]:
+    """Return the names of the series of a variable in their order if they are values of one further axis of numbers."""
+    left = [str(d) for d in dataset[variable].dims if d not in along and dataset.sizes[d] > 1]
+    if len(left) != 1 or dataset[left[0]].dtype.kind not in "if" or dataset.sizes[left[0]] < FEWEST_STEPS:
+        return []
+    return [style.value_text(dataset, left[0], value) for value in np.sort(dataset[left[0]].values).tolist()]
 
 
 # Lines
@@ -366,19 +367,18 @@ def one_axis(dataset: xr.Dataset, variable: str, over: Sequence[str]) -> str:
 
 def _lines_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
     if all(dataset[name].size == 1 for name in variables) and not over:
-        figure = draw_panels(dataset.squeeze(), variables, Layout(), _draw_point)
+        figure = draw_panels(dataset.squeeze(), variables, _draw_point)
         figure.set_figheight(max(1.0 + 0.3 * figure.get_figwidth(), style.in_letters(20.0)))
         return figure
     axis = one_axis(dataset, variables[0], over)
     draw = partial(draw_lines, over=axis, numbers={})
-    return draw_panels(dataset, variables, arrange(dataset, variables[0], [axis]), draw)
+    return draw_panels(dataset, variables, draw, *panel_dimensions(dataset, variables[0], axis))
 
 
 def draw_lines(axes: Axes, dataset: xr.Dataset, variable: str, over: str, numbers: dict[str, int]) -> None:
     """Draw a variable against an axis of the grid, one colour for every combination of the other dimensions.
 
-    ``numbers`` holds the number of each series, by its name, for all panels of a figure: each keeps its colour even if
-    another series has no values in a panel.
+    ``numbers`` are those of `series_of`.
 
     Points have their one-sigma errors (Monte Carlo and catalogues), and thin lines join them.  Dashes are the
     closed-form prediction, which is known at the points alone, on bars of its catalogue error.  Open symbols are
@@ -388,22 +388,18 @@ def draw_lines(axes: Axes, dataset: xr.Dataset, variable: str, over: str, number
     dimension = str(dataset[over].dims[0])
     order = np.argsort(x, kind="stable")
     dataset, x = dataset.isel({dimension: order}), x[order]
-    steps = _steps(dataset, variable, dimension)
-    numbers.update(zip(steps, range(len(steps)), strict=True))
-    named = series_of(dataset, variable, dimension)
-    seen = [one for _, one in named]
     joined = dataset[over].dtype.kind in "ifM" and dimension != POINT and len(x) > 1
     joined = joined and not formatting.is_truth(dataset[variable])
-    offsets = _offsets(dataset[variable], seen)
-    for (name, one), offset in zip(named, offsets, strict=True):
-        mark = style.series(numbers.setdefault(name, len(numbers)), len(steps))
-        _draw_series(axes, x, one, variable, name, mark, offset, joined)
+    drawn = series_of(dataset, variable, dimension, numbers=numbers)
+    offsets = _offsets(dataset[variable], drawn)
+    for one, offset in zip(drawn, offsets, strict=True):
+        _draw_series(axes, x, one, variable, offset, joined)
     colour = style.COLOURS[0] if len(numbers) == 1 else "0.35"
-    known = {part for one in seen for part in quantity.parts_of(one, variable)}
+    known = {part for *_, one in drawn for part in quantity.parts_of(one, variable)}
     if "predicted" in known:
         axes.plot([], [], color=colour, label=style.PREDICTED, markersize=WIDEST_DASH, **style.DASH)
     if "published" in known:
-        axes.plot([], [], color="0.15", **OPEN, label=style.PUBLISHED)
+        axes.plot([], [], **OPEN, label=style.PUBLISHED)
     if any(offsets) and not (joined and len(x) > MOST_MARKERS):
         axes.plot([], [], linestyle="none", label=style.MOVED)
     if half := dataset[variable].attrs.get(BAND):
@@ -412,16 +408,8 @@ def draw_lines(axes: Axes, dataset: xr.Dataset, variable: str, over: str, number
     style.fit_scale(axes, "y", dataset[variable])
     axes.set(xlabel=style.axis_label(dataset, over), ylabel=style.quantity_label(dataset, variable))
     axes.margins(x=bool(axes.get_xmargin()) * max(0.05, EDGE_PT / (72.0 * style.panel_size(axes)[0] - 2.0 * EDGE_PT)))
-    if steps and joined and len(axes.figure.axes) == 1:
-        _name_ends(axes, {name: float(one[variable].values[-1]) for name, one in named})
-
-
-def _steps(dataset: xr.Dataset, variable: str, *along: str) -> list[str]:
-    """Return the names of the series of a variable in their order if they are values of one further axis of numbers."""
-    left = [str(d) for d in dataset[variable].dims if d not in along and dataset.sizes[d] > 1]
-    if len(left) != 1 or dataset[left[0]].dtype.kind not in "if" or dataset.sizes[left[0]] < FEWEST_STEPS:
-        return []
-    return [style.value_text(dataset, left[0], value) for value in np.sort(dataset[left[0]].values).tolist()]
+    if joined and len(axes.figure.axes) == 1 and _steps(dataset, variable, dimension):
+        _name_ends(axes, {name: float(one[variable].values[-1]) for name, _, one in drawn})
 
 
 def _name_ends(axes: Axes, ends: Mapping[str, float]) -> None:
@@ -461,53 +449,50 @@ def positions(axes: Axes, dataset: xr.Dataset, axis: str, which: str) -> Array:
     return places
 
 
-def _offsets(array: xr.DataArray, seen: list[xr.Dataset]) -> list[float]:
+def _offsets(array: xr.DataArray, drawn: list[Series]) -> list[float]:
     """Return by how many points of print the markers of each series are moved aside: 0 unless those of two series cover
     each other in many places.
     """
-    if len(seen) > 1:
-        values = np.stack([one[array.name].values.astype(float) for one in seen])
+    if len(drawn) > 1:
+        values = np.stack([one[array.name].values.astype(float) for *_, one in drawn])
         values = np.log(values) if style.is_logarithmic(array) else values
         gaps = np.diff(np.sort(values, axis=0), axis=0)
         covered = gaps[np.isfinite(gaps)] <= COVERED * (np.nanmax(values) - np.nanmin(values))
         if covered.size and covered.mean() > COVERED_SHARE:
-            outermost = min(ASIDE_PT * (len(seen) - 1) / 2.0, ASIDE_PT)
-            return list(map(float, np.linspace(-outermost, outermost, len(seen))))
-    return [0.0] * len(seen)
+            outermost = min(ASIDE_PT * (len(drawn) - 1) / 2.0, ASIDE_PT)
+            return list(map(float, np.linspace(-outermost, outermost, len(drawn))))
+    return [0.0] * len(drawn)
 
 
-def _draw_series(
-    axes: Axes, x: Array, one: xr.Dataset, variable: str, name: str, mark: dict[str, Any], offset: float, joined: bool
-) -> None:
+def _draw_series(axes: Axes, x: Array, drawn: Series, variable: str, offset: float, joined: bool) -> None:
     """Draw one series; only its markers, with their error bars, are moved aside."""
+    name, mark, one = drawn
     if REFINED in one.attrs and one["status"].shape == x.shape:  # other series have points in between
         there = np.flatnonzero(one["status"].values != Status.EXCLUDED)
         x, one = x[there], one.isel({one["status"].dims[0]: there})
-    colour, few, is_line = mark["color"], len(x) <= FEW_POINTS, joined and len(x) > MOST_MARKERS
-    parts = quantity.parts_of(one, variable)
+    few, is_line = len(x) <= FEW_POINTS, joined and len(x) > MOST_MARKERS
+    parts, colour = quantity.parts_of(one, variable), mark["color"]
     y = parts["value"].values.astype(float)
     sigma = parts["error"].values if "error" in parts and (few or is_line) else None
     look: dict[str, Any] = {**mark, "linestyle": "none", "markersize": 3.5 if few else 2.0, "elinewidth": 0.8}
     look |= {"zorder": 3, "alpha": 1.0 if few else 0.4}
     words = name or (style.COMPUTED if quantity.standard_error(one, variable) is None else style.SIMULATED)
     running = np.broadcast_to(one["status"].values == Status.RUNNING, y.shape)
-    moved = [] if is_line else [axes.errorbar(x, y, yerr=sigma, label=words, **look)]
-    if is_line:
-        # No line shows a point that has no neighbour, and every second one may be done first.
+    marked, label, moved = np.full(y.shape, True), words, list[Any]()
+    if is_line:  # which shows no point that has no neighbour, and every second one may be done first
         alone = np.isfinite(y) & (np.convolve(np.isfinite(y), [1, 0, 1], "same") == 0)
-        if (marked := alone | running).any():
-            error = None if sigma is None else sigma[marked]
-            drawn = axes.errorbar(x[marked], y[marked], error, **look)
-            drawn.lines[0].set_label(style.ALONE if alone.any() else style.RUNNING)  # for the caption
+        marked, label = alone | running, style.ALONE if alone.any() else style.RUNNING
+    if marked.any():
+        error = None if sigma is None else sigma[marked]
+        moved.append(axes.errorbar(x[marked], y[marked], error, label=label, **look))
     if running.any():
-        centre = look | {"color": "white", "markersize": 0.5 * look["markersize"], "zorder": 3.1}
-        moved.append(axes.errorbar(x[running], y[running], **centre))
-        moved[-1].lines[0].set_label(style.RUNNING)  # for the caption
+        centre = {"color": "white", "markersize": 0.5 * look["markersize"], "zorder": 3.1, "label": style.RUNNING}
+        moved.append(axes.errorbar(x[running], y[running], **look | centre))
     for level in y[np.isnan(x) & np.isfinite(y)]:
         axes.axhline(level, color=colour, linewidth=1.2, linestyle=":", label=style.WITHOUT)
     if joined:
-        width, opacity, label = (1.2, 1.0, words) if is_line else (0.8, 0.6, style.JOINED)
-        axes.plot(x, y, color=colour, zorder=2, linewidth=width, alpha=opacity, label=label)
+        width, opacity, said = (1.2, 1.0, words) if is_line else (0.8, 0.6, style.JOINED)
+        axes.plot(x, y, color=colour, zorder=2, linewidth=width, alpha=opacity, label=said)
         if sigma is not None and (is_line or "predicted" not in parts):
             axes.fill_between(x, y - sigma, y + sigma, color=colour, label=style.ERROR_BAND, **style.BAND)
     if "predicted" in parts:
@@ -519,10 +504,10 @@ def _draw_series(
             axes.vlines(x, curve - half, curve + half, color=colour, label=style.PREDICTION_BAND, **bar)
     if "published" in parts:
         half = parts["published_rounding"].values if "published_rounding" in parts else None
-        look = {**OPEN, **mark, "color": "0.15", "elinewidth": 0.6, "zorder": 4, "label": f"_{style.PUBLISHED}"}
+        look = {**OPEN, "marker": mark["marker"], "elinewidth": 0.6, "zorder": 4, "label": f"_{style.PUBLISHED}"}
         moved.append(axes.errorbar(x, parts["published"].values, yerr=half, **look))
     aside = transforms.ScaledTranslation(offset / 72.0, 0.0, axes.figure.dpi_scale_trans)
-    for artist in (one for container in moved for one in container.get_children() if offset):
+    for artist in (one for container in moved for one in container.get_children() if offset and not is_line):
         artist.set_transform(artist.get_transform() + aside)
 
 
@@ -565,37 +550,33 @@ def _law_figure(dataset: xr.Dataset, variables: list[str], along: Sequence[str])
     over = quantity.require_axis(dataset, variable, (list(along) or quantity.numeric_axes(dataset, variable))[0])
     if linear := [name for name in (over, variable) if dataset[name].attrs.get(style.SCALE) == "linear"]:
         raise SweepError(f"a law is drawn on logarithmic axes, and {linear[0]} is to have a linear one")
-    series_of(dataset, variable, str(dataset[over].dims[0]))  # which are not too many
-    figure, (upper, lower) = style.new_figure(6.4, 5.2, 2, sharex=True, height_ratios=(3, 1))
     dataset = quantity.in_readable_units(dataset)
-    made, result = laws.lines(dataset, variable, over), laws.fit_power_law(dataset, variable, over)
-    steps = _steps(dataset, variable, str(dataset[over].dims[0]))
-    for number, line in enumerate(line for line in made.lines if len(line.x)):
-        x, y, errors = line.x, line.y, line.errors
-        look, place = style.marks(number, 3.5, len(steps)), made.place(line)
-        words = style.values_text(dataset, {d: place[d] for d in made.dims if made.grid.sizes[d] > 1})
-        error = np.nan_to_num(errors if errors.ndim == 1 else np.sqrt(np.diag(errors)))
-        law, fine = result.isel(line.index), np.geomspace(x.min(), x.max(), 100)
-        names = ("exponent", "exponent_error", "amplitude", "amplitude_error", "correlation", "pivot")
-        power, power_error, height, height_error, correlation, pivot = (law[name].item() for name in names)
-        curve, there = (height * (at / pivot) ** power for at in (fine, x))
-        spread, tilt = height_error / height, np.log(fine / pivot) * power_error
-        square = np.nan_to_num(spread**2 + tilt**2 + 2.0 * correlation * spread * tilt)
+    drawn = series_of(dataset, variable, str(dataset[over].dims[0]))
+    lines = [line for line in laws.lines(dataset, variable, over).lines if len(line.x)]
+    result = laws.fit_power_law(dataset, variable, over)
+    figure, (upper, lower) = style.new_figure(6.4, 5.2, 2, sharex=True, height_ratios=(3, 1))
+    for (words, mark, _), line in zip(drawn, lines, strict=True):
+        x, y, fine = line.x, line.y, np.geomspace(line.x.min(), line.x.max(), 100)
+        error = np.nan_to_num(line.errors if line.errors.ndim == 1 else np.sqrt(np.diag(line.errors)))
+        law = {str(name): array.item() for name, array in result.isel(line.index).data_vars.items()}
+        curve, there = (law["amplitude"] * (at / law["pivot"]) ** law["exponent"] for at in (fine, x))
+        spread = law["amplitude_error"] / law["amplitude"]
+        tilt = np.log(fine / law["pivot"]) * law["exponent_error"]
+        square = np.nan_to_num(spread**2 + tilt**2 + 2.0 * law["correlation"] * spread * tilt)
         half = np.sqrt(np.maximum(square, 0.0)).round(11)
-        band = {"color": look["color"], **style.BAND}
-        known = power_error if power_error > 1e-9 else 0.0  # less is of rounding
-        exponent = formatting.with_error(power, known).replace(" ± ", r"\pm")
-        fitted = _power(dataset, over, exponent)
+        look, band = {**mark, "linestyle": "none", "markersize": 3.5}, {"color": mark["color"], **style.BAND}
+        known = law["exponent_error"] if law["exponent_error"] > 1e-9 else 0.0  # less is of rounding
+        fitted = _power(dataset, over, formatting.with_error(law["exponent"], known).replace(" ± ", r"\pm"))
         text = f"{words}: {fitted}" if words else style.SIMULATED if error.any() else style.COMPUTED
         upper.errorbar(x, y, yerr=error if error.any() else None, label=text, **look)
-        upper.plot(fine, curve, color=look["color"], linewidth=1.0, label="" if words else f"fit {fitted}")
+        upper.plot(fine, curve, color=mark["color"], linewidth=1.0, label="" if words else f"fit {fitted}")
         if half.any():
             upper.fill_between(fine, curve * (1.0 - half), curve * (1.0 + half), label=style.LAW_BAND, **band)
         lower.fill_between(fine, -100.0 * half, 100.0 * half, **band)
         residual = np.round(100.0 * (y / there - 1.0), 9)  # without what is of rounding
         lower.errorbar(x, residual, yerr=100.0 * error / there, **look)
-        if np.isfinite(expected := law["expected"].item() if "expected" in law else np.nan):
-            guide = height * (fine / pivot) ** expected
+        if np.isfinite(expected := law.get("expected", np.nan)):
+            guide = law["amplitude"] * (fine / law["pivot"]) ** expected
             text = f"guide {_power(dataset, over, format(expected, 'g'))}"
             upper.plot(fine, guide, label=text, **style.GUIDE)  # the legend names alike ones once
             lower.plot(fine, 100.0 * (guide / curve - 1.0), **style.GUIDE)
@@ -624,9 +605,11 @@ def _map_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) 
     if len(chosen) != 2 or len({dataset[axis].dims[0] for axis in chosen}) != 2:
         wanted, got = ", ".join(numeric), ", ".join(chosen) or "none"
         raise SweepError(f"a map needs two axes that are crossed, of {wanted}; not {got}")
-    layout, readable = arrange(dataset, variable, chosen, series=False), quantity.in_readable_units(dataset)
+    if len(others := _others(dataset, variable, chosen)) > 2:
+        raise _too_many(dataset, others)
+    readable = quantity.in_readable_units(dataset)
     draw = partial(draw_map, x=chosen[0], y=chosen[1], limits=colour_limits(readable[variable]))
-    figure = draw_panels(readable, variables, layout, draw)
+    figure = draw_panels(readable, variables, draw, others[::-1])
     mesh = figure.axes[0].collections[0]  # all panels share their colours
     style.add_bar(figure, mesh, readable[variable], style.quantity_label(readable, variable), ax=figure.axes)
     if words := _accuracy_in_words(dataset, variable):
@@ -726,18 +709,17 @@ def _points_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str
     """Return a figure with a row for each variable and a column for each parameter: all, or those in ``over``.  With
     one variable, many parameters take several rows.
     """
-    parameters = _parameters(dataset, over, MOST_PARAMETERS)
-    several = len(variables) > 1
+    parameters, several = _parameters(dataset, over, MOST_PARAMETERS), len(variables) > 1
+    pairs = list(product(variables, parameters))
     across = len(parameters) if several else min(len(parameters), MOST_ACROSS)
-    down = len(variables) if several else -(-len(parameters) // across)
+    down = -(-len(pairs) // across)
     size = (5.2, 4.2) if across * down == 1 else (1.0 + 2.6 * across, 0.8 + 2.4 * down)
     least, share = (1.0, "row") if several else (style.PANEL_WIDTH, True)
-    pairs = list(product(variables, parameters))
     figure, panels = style.new_figure(*size, down, across, least, len(pairs), sharey=share)
     for axes, (variable, parameter) in zip(panels, pairs, strict=True):
         draw_lines(axes, dataset, variable, parameter, {})
-        axes.set_label(variable)  # for the caption
-        axes.set_ylabel(style.quantity_label(dataset, variable) if axes.get_subplotspec().is_first_col() else "")
+        is_first = axes.get_subplotspec().is_first_col()
+        axes.set(label=variable, ylabel=style.quantity_label(dataset, variable) if is_first else "")
     return figure
 
 
@@ -747,30 +729,27 @@ def _pairs_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]
     further = [str(d) for d in dataset[variable].dims if d != POINT and dataset.sizes[d] > 1]
     if further or len(parameters) < 2:
         raise SweepError(f"pairs need two parameters and one value a point; fix {', '.join(further)}: --at AXIS=VALUE")
-    across, up = parameters[:-1], parameters[1:]
-    size = 2.4 + 1.7 * len(across), 1.2 + 1.6 * len(up)
-    figure, panels = style.new_figure(*size, len(up), len(across), least=1.0, sharex="col", sharey="row")
-    values = dataset[variable].squeeze().values.astype(float)
-    known = np.flatnonzero(np.isfinite(values))
+    n, values = len(parameters) - 1, dataset[variable].squeeze().values.astype(float)
+    figure, panels = style.new_figure(2.4 + 1.7 * n, 1.2 + 1.6 * n, n, n, least=1.0, sharex="col", sharey="row")
+    known = np.isfinite(values)
     dots: dict[str, Any] = {"c": values[known], "cmap": "cividis", "norm": colour_limits(dataset[variable])}
     dots |= {"s": 10.0 if len(values) <= FEW_POINTS else 4.0, "linewidths": 0.0}
-    for axes, (row, column) in zip(panels, np.ndindex(len(up), len(across)), strict=True):
-        if column > row:
+    for axes, (up, across) in zip(panels, product(parameters[1:], parameters[:-1]), strict=True):
+        if parameters.index(across) >= parameters.index(up):
             axes.set_visible(False)
             continue
-        x, y = (positions(axes, dataset, name, which) for name, which in ((across[column], "x"), (up[row], "y")))
+        x, y = positions(axes, dataset, across, "x"), positions(axes, dataset, up, "y")
         drawn = axes.scatter(x[known], y[known], **dots)
-        axes.set_xlabel(style.label(dataset[across[column]], across[column]) if row == len(up) - 1 else "")
-        axes.set_ylabel(style.label(dataset[up[row]], up[row]) if column == 0 else "")
-        axes.set_label(variable)  # for the caption
+        axes.set(label=variable, xlabel=style.label(dataset[across], across), ylabel=style.label(dataset[up], up))
+        axes.label_outer()
     text = style.quantity_label(dataset, variable)
-    style.add_bar(figure, drawn, dataset[variable], text, ax=panels[len(across) - 1 :: len(across)], shrink=0.7)
+    style.add_bar(figure, drawn, dataset[variable], text, ax=panels[n - 1 :: n], shrink=0.7)
     return figure
 
 
 def _curves_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
     axis = one_axis(dataset, variables[0], over)
-    return draw_panels(dataset, variables, Layout(), partial(_draw_curves, over=axis))
+    return draw_panels(dataset, variables, partial(_draw_curves, over=axis))
 
 
 def _draw_curves(axes: Axes, dataset: xr.Dataset, variable: str, over: str) -> None:
@@ -778,10 +757,9 @@ def _draw_curves(axes: Axes, dataset: xr.Dataset, variable: str, over: str) -> N
     median and bands of many points, or the curve of each of a few.
     """
     along, array, x = str(dataset[over].dims[0]), dataset[variable], positions(axes, dataset, over, "x")
-    steps = len(_steps(dataset, variable, POINT, along))
-    for number, (words, one) in enumerate(series_of(dataset, variable, POINT, along)):
-        y = one[variable].transpose(POINT, along).values.astype(float)
-        y, colour = y[np.isfinite(y).any(axis=1)], style.series(number, steps)["color"]
+    for words, mark, one in series_of(dataset, variable, POINT, along):
+        y, colour = one[variable].transpose(POINT, along).values.astype(float), mark["color"]
+        y = y[np.isfinite(y).any(axis=1)]
         if array.sizes[POINT] <= FEW_CURVES:
             labels = [words, *[""] * (len(y) - 1)]  # alone, the curves are what the axis says
             axes.plot(x, y.T, color=colour, linewidth=0.9, alpha=0.8, label=labels)
@@ -836,36 +814,34 @@ def _scatter_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[st
         raise SweepError(f"{shown(unknown[0])} is no component of {variable}{suggest(unknown[0], known)}")
     if over and len(set(over)) != 2:
         raise SweepError(f"a scatter needs two components, of {', '.join(known)}; not {', '.join(over)}")
-    units = dict(zip(known, quantity.units_along(dataset, variable, [dimension]), strict=True))
+    unit_of = dict(zip(known, quantity.units_along(dataset, variable, [dimension]), strict=True))
     main = dataset[quantity.main_quantity(dataset)].attrs if quantity.quantities(dataset) else {}
-    alike = [name for name in known if units[name] == main.get("units")]
+    alike = [name for name in known if unit_of[name] == main.get("units")]
     names = list(over or (alike if len(alike) > 1 else known)[:2])
     figure, (axes,) = style.new_figure(5.2, 4.8)
     both = dataset[variable].sel({dimension: names}).transpose(dimension, "sample").values.astype(float)
     both = both[:, np.isfinite(both).all(axis=0)]
     if (n := both.shape[1]) < 3:
         raise SweepError(f"{variable} has {n} samples here; at least 3 are needed")
-    factor, (one, other) = 1.0, (units[name] for name in names)
-    if one == other:
-        one, factor = formatting.prefixed(both.std(axis=1), one)
-        other = one
+    units, factor = [unit_of[name] for name in names], 1.0
+    if units[0] == units[1]:
+        readable, factor = formatting.prefixed(both.std(axis=1), units[0])
+        units = [readable, readable]
         axes.set_aspect("equal")
     both *= factor
     mean, covariance = both.mean(axis=1), np.cov(both)
     sigma = np.sqrt(np.diag(covariance))
     dots: dict[str, Any] = {"color": style.COLOURS[0], "markeredgewidth": 0.0, "alpha": 0.35}
-    dots["markersize"] = float(np.clip(100.0 / np.sqrt(n), 2.0, 5.0))
-    axes.plot(*both, ".", label=f"{n} estimates", **dots)
+    axes.plot(*both, ".", label=f"{n} estimates", markersize=float(np.clip(100.0 / np.sqrt(n), 2.0, 5.0)), **dots)
     for confidence, line in ((0.683, "solid"), (0.954, "dashed")):
-        share = f"{100 * confidence:.0f} % of their normal law"
-        ellipse = style.confidence_ellipse(mean, covariance, confidence, linestyle=line, label=share)
-        axes.add_patch(ellipse).set_edgecolor(style.COLOURS[1])
+        look = {"linestyle": line, "label": f"{100 * confidence:.0f} % of their normal law"}
+        axes.add_patch(style.confidence_ellipse(mean, covariance, confidence, edgecolor=style.COLOURS[1], **look))
     axes.errorbar(*mean, *(sigma / np.sqrt(n))[::-1], label="mean", **style.marks(1, 3.0))
     if "bias" in dataset and dimension in dataset["bias"].dims:
         truth = mean - factor * dataset["bias"].sel({dimension: names}).values
         axes.plot(*truth, "x", color="black", label="truth", markersize=9.0, markeredgewidth=1.4)
     words = []
-    for which, name, spread, unit in zip("xy", names, sigma, (one, other), strict=True):
+    for which, name, spread, unit in zip("xy", names, sigma, units, strict=True):
         axes.set(**{f"{which}label": style.label(dataset[variable], name, unit)})
         text = formatting.with_error(spread, spread / np.sqrt(2 * n))
         words.append(rf"$\sigma$({style.symbol(name)}) = {text} {formatting.written(unit)}")
@@ -944,4 +920,4 @@ def _lines_of(dataset: xr.Dataset, names: list[str], over: str, by: str, words: 
     status = dataset[names[0]].dims, np.full(dataset[names[0]].shape, Status.DONE, dtype=np.int8)
     named = dataset[by].assign_attrs(symbols=json.dumps(words))
     dataset = dataset.rename(errors).assign_coords({by: named}).assign(status=status)
-    return draw_panels(dataset, names, Layout(), partial(draw_lines, over=over, numbers={}))
+    return draw_panels(dataset, names, partial(draw_lines, over=over, numbers={}))

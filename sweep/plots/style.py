@@ -589,7 +589,7 @@ def description(figure: Figure, dataset: xr.Dataset) -> str:
 def _signs(figure: Figure, dataset: xr.Dataset) -> list[str]:
     """Return a sentence for each kind of sign in a figure that its labels do not explain."""
     entries = legend_entries(figure)
-    labels = {artist.get_label() for axes in figure.axes for artist in axes.get_children()}
+    labels = {artist.get_label() for axes in figure.axes for artist in (*axes.get_children(), *labelled(axes))}
     drawn = dict.fromkeys(str(axes.get_label()) for axes in figure.axes if _has_error_bars(axes))
     names = [name for name in drawn if name in dataset]
     sentences = []
