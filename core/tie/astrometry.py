@@ -336,11 +336,8 @@ def differences(
         partials = np.concatenate([partials, bend], axis=2)
         values -= np.einsum("rij,jr->ir", bend, star.further[0])
     partials = partials * present.T[:, :, None]
-    by_frames = partials[..., :5]
-    if frames > 1:
-        by_frames = np.concatenate([by_frames, np.zeros((len(rows), 5, 5 * frames - 5))], axis=2)
-        for number in range(1, frames):
-            here = rows.frame == number
-            by_frames[here, :, 5 * number : 5 * number + 5] = -partials[here, :, :5]
+    five = partials[..., :5]
+    of_missions = (np.where((rows.frame == k)[:, None, None], -five, 0.0) for k in range(1, frames))
+    by_frames = np.concatenate([five, *of_missions], axis=2)
     values, of_rows = np.where(present, values, 0.0).T, (rows.calibrator, rows.shared)
     return Differences(values, partials, rows.covariance(), present.T, by_frames, *of_rows)

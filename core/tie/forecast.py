@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from linksweep.core.frames import Array, Indices, LinkError
+from linksweep.core.frames import Array, Indices
 from linksweep.core.tie.astrometry import Differences, by_errors
 from linksweep.core.tie.problem import KeptSources, NormalSums, Problem, add_separations, covariance_of, eliminate
 from linksweep.core.unknowns import Unknowns
@@ -110,11 +110,9 @@ class Goal:
 
     def value(self, matrices: Array) -> float:
         """Return the criterion of sums as in `covariance_of`; infinite where they do not determine the unknowns."""
-        try:
-            covariance = covariance_of(matrices)[np.ix_(self.parts, self.parts)]
-        except LinkError:
-            return np.inf
-        return float(np.trace(covariance) if self.criterion == "A" else np.linalg.slogdet(covariance)[1])
+        covariance = covariance_of(matrices)[np.ix_(self.parts, self.parts)]
+        value = np.trace(covariance) if self.criterion == "A" else np.linalg.slogdet(covariance)[1]
+        return float(np.inf if np.isnan(value) else value)
 
 
 def choose(now: NormalSums, new: NormalSums, number: int, goal: Goal) -> tuple[list[int], Array]:

@@ -102,17 +102,16 @@ def noises(problem: Problem, jitter: Mapping[str, Mapping[str, Any]], fewest: in
     if everywhere:
         with_rows = np.isin(np.arange(len(problem.satellite)), problem.source)
         chosen.append((SATELLITE, with_rows, problem.satellite.measured.T))
-    for kind, at, _ in chosen:
+    wanted: dict[str, Flags] = {}
+    for kind, at, present in chosen:
         if (number := np.count_nonzero(at)) < fewest:
             rows, advice = f"rows of the kind {kind}", f"say how large it is, as in --jitter '{kind}=0.1'"
             if kind == SATELLITE:
                 rows, advice = "sources", "leave out estimate, which is of the satellite too"
             raise LinkError(f"jitter estimate: it needs {fewest} {rows}, and there are {number}; {advice}")
-    wanted: dict[str, Flags] = {}
-    for name, at, present in chosen:
         for quantity, which in QUANTITIES.items():
             flags = present & at[:, None] & np.isin(np.arange(5), which)
-            wanted |= {f"{name}:{quantity}": flags} if np.any(flags) else {}
+            wanted |= {f"{kind}:{quantity}": flags} if np.any(flags) else {}
     return wanted
 
 

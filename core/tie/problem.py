@@ -559,8 +559,11 @@ def inverted(normal: Array, labels: tuple[str, ...] = ()) -> Array:
 
 
 def covariance_of(matrices: Array) -> Array:
-    """Return the covariance (K, K) of a solution with these sums of `NormalSums.matrices`; raises as `inverted`."""
-    inverse = inverted(matrices[0])
+    """Return the covariance (K, K) of a solution with these sums of `NormalSums.matrices`; NaN where there is none."""
+    try:
+        inverse = inverted(matrices[0])
+    except LinkError:
+        return np.full(matrices.shape[1:], np.nan)
     return inverse if len(matrices) == 1 else np.asarray(inverse @ matrices[1] @ inverse)
 
 

@@ -646,13 +646,7 @@ def released(
 
 def _errors(totals: Iterable[Array]) -> Array:
     """Return the formal errors of some sums in mas and mas/yr; NaN where these do not determine the unknowns."""
-    errors = []
-    for matrices in totals:
-        try:
-            errors.append(np.sqrt(np.diag(solving.covariance_of(matrices))) / MAS)
-        except LinkError:
-            errors.append(np.full(matrices.shape[-1], np.nan))
-    return np.array(errors)
+    return np.array([np.sqrt(np.diag(solving.covariance_of(matrices))) / MAS for matrices in totals])
 
 
 def _scaled(values: Iterable[float], goal: planning.Goal) -> Array:

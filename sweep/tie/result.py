@@ -207,11 +207,10 @@ def _link_tables(link: xr.Dataset) -> list[Table]:
         columns += [_numbers("error", link.noise_error, ".5f"), _texts("unit", link.noise_unit.values)]
         made.append(Table(columns, "noise beyond the stated errors, estimated by restricted maximum likelihood"))
     if "power" in link:
-        powers = link[["power", "power_noise", "power_chi2", "power_probability"]].stack(row=("field", "degree"))
-        powers = powers.isel(row=np.flatnonzero(np.isfinite(powers["power"].values)))
         forms = {"power": ".5g", "power_noise": ".5g", "power_chi2": ".2f", "power_probability": ".3g"}
-        columns = [_texts("field", powers["field"].values), _texts("degree", powers["degree"].values, left=False)]
-        columns += [_numbers(n.removeprefix("power_"), powers[n].values, form) for n, form in forms.items()]
+        powers = link[[*forms]].to_dataframe().dropna(subset="power").reset_index()
+        columns = [_texts("field", powers["field"]), _texts("degree", powers["degree"], left=False)]
+        columns += [_numbers(name.removeprefix("power_"), powers[name], form) for name, form in forms.items()]
         made.append(Table(columns, "power of the vector spherical harmonics [mas2], of motions [mas2/yr2]"))
     if "step_estimate" in link and any(str(name) for name in link.step_dropped.values):
         chosen = int(link.step_chosen)
