@@ -14,8 +14,9 @@ from concurrent.futures import ProcessPoolExecutor
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from linksweep.core.catalogues import V_MAX, Sky, quasars
+from linksweep.core.catalogues import CATALOGUES, V_MAX
 from linksweep.core.errors import MagnitudeErrors
+from linksweep.core.experiment import link
 from linksweep.core.missions import MISSIONS
 
 N_CAT, N_SIM = 100, 100
@@ -33,7 +34,7 @@ def catalogue_squares(arguments):
     """Return the sum of squared estimates of the six unknowns over the realisations of one catalogue."""
     model, v_max, number = arguments
     rng = np.random.default_rng([int(10 * v_max), number])
-    catalogue = quasars(rng, v_max, Sky())
+    catalogue = CATALOGUES["quasars"].draw(link.defaults() | {"v_max": v_max}, rng)
     matrix = design(catalogue.ra, catalogue.dec)
     squares = np.zeros(6)
     with threadpool_limits(1):

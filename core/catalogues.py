@@ -3,7 +3,6 @@
 A new one is a subclass of `CatalogueKind` and its entry in `CATALOGUES`.
 """
 
-import itertools
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
@@ -74,10 +73,6 @@ class Catalogue:
         """Return the errors that the catalogue lists for a side, "reference" or "satellite"; None if there are none."""
         listed = self.reference if side == "reference" else self.satellite
         return self.errors if listed is None else listed
-
-    def moved_to(self, ra: Array, dec: Array) -> "Catalogue":
-        """Return the same objects, with their proper motions along the local triad, at other positions."""
-        return replace(self if ra.ndim == self.ra.ndim else self.repeated(len(ra)), ra=ra, dec=dec)
 
     def _each(self, function: Callable[[Array], Array]) -> "Catalogue":
         """Return a catalogue with a function applied to all arrays, whose first axes are those of the objects."""
@@ -179,6 +174,13 @@ class CatalogueKind:
     def draw(self, point: Point, rng: np.random.Generator) -> Catalogue:
         """Return the catalogue that a generator gives."""
         raise NotImplementedError
+
+    def placed(self, objects: Catalogue, point: Point, rng: np.random.Generator) -> Catalogue:
+        """Return objects at random positions, with their motions along the local triad there, or at their own."""
+        if not self.has_random_positions(point):
+            return objects
+        ra, dec = _sky(point).positions(rng, len(objects))
+        return replace(objects if ra.ndim == objects.ra.ndim else objects.repeated(len(ra)), ra=ra, dec=dec)
 
     def objects(self, point: Point) -> Catalogue | None:
         """Return the objects of a catalogue that lists them, None for one that is drawn from a law."""
@@ -308,34 +310,6 @@ def completeness(v_max: float) -> float:
     return float(min(1.0, f_bright * np.exp(slope * (v_max - bright))))
 
 
-def quasars(
-    rng: np.random.Generator, v_max: float, sky: Sky, completed: bool = False, v_min: float = BRIGHTEST_MAG
-) -> Catalogue:
-    """Return the quasars between two limits at random positions, without proper motion, brightest bin first.
-
-    Catalogues drawn from equal generators are nested: that of a brighter ``v_max`` at a half magnitude is the beginning
-    of that of a fainter one.  Within a half-magnitude bin log N is linear in V; quasars that the extrapolation would
-    put above V = 12.8 stand at 12.8, as in the calibration of the mission curves.  Raises ValueError as `quasar_count`.
-    """
-
-    def drawn(bright: float, faint: float, low: int, high: int) -> tuple[Array, Array, Array]:
-        ra, dec = sky.positions(rng, high - low)
-        # a rank for each object of the bin; in (low, high], so that its logarithm is never that of 0
-        rank = high - (high - low) * rng.random(high - low)
-        if low == 0:  # a law that is log-linear in the counts has no magnitudes below the first object
-            return ra, dec, np.full_like(rank, faint)
-        return ra, dec, bright + (faint - bright) * np.log(rank / low) / np.log(high / low)
-
-    edges = [v_min, *V_MAX[(v_min < V_MAX) & (v_max > V_MAX)].tolist(), v_max]
-    counts = [quasar_count(v, completed) for v in edges]
-    if v_min <= BRIGHTEST_MAG:
-        edges, counts = [0.0, *edges], [0, *counts]
-    limits = zip(itertools.pairwise(edges), itertools.pairwise(counts), strict=True)
-    bins = [drawn(bright, faint, low, high) for (bright, faint), (low, high) in limits]
-    ra, dec, v_mag = (np.concatenate(column, axis=-1) for column in zip(*bins, strict=True))
-    return Catalogue(ra, dec, np.zeros_like(ra), np.zeros_like(ra), v_mag)
-
-
 class Quasars(CatalogueKind):
     """`"quasars"`: as many as the counts have between the limits."""
 
@@ -354,10 +328,29 @@ class Quasars(CatalogueKind):
         return max(brightest, BRIGHTEST_MAG), faintest
 
     def draw(self, point: Point, rng: np.random.Generator) -> Catalogue:
-        """Return all quasars between the limits, or n_obj of them at random."""
-        brightest, faintest = self.magnitudes(point)
-        whole = quasars(rng, faintest, _sky(point), point["counts"] == "completed", brightest)
-        return whole.some(rng, self.size(point))
+        """Return all quasars between the limits, or n_obj of them: without proper motion, brightest bin first.
+
+        Catalogues drawn from equal generators are nested: that of a brighter v_max at a half magnitude is the beginning
+        of that of a fainter one.  Within a half-magnitude bin log N is linear in V; quasars that the extrapolation
+        would put above V = 12.8 stand at 12.8, as in the calibration of the mission curves.
+        """
+
+        def drawn(bright: float, faint: float, low: int, high: int) -> tuple[Array, Array, Array]:
+            ra, dec = _sky(point).positions(rng, high - low)
+            # a rank for each object of the bin; in (low, high], so that its logarithm is never that of 0
+            rank = high - (high - low) * rng.random(high - low)
+            if low == 0:  # a law that is log-linear in the counts has no magnitudes below the first object
+                return ra, dec, np.full_like(rank, faint)
+            return ra, dec, bright + (faint - bright) * np.log(rank / low) / np.log(high / low)
+
+        v_min, v_max = self.magnitudes(point)
+        edges = [v_min, *V_MAX[(v_min < V_MAX) & (v_max > V_MAX)].tolist(), v_max]
+        counts = [quasar_count(v, point["counts"] == "completed") for v in edges]
+        if v_min <= BRIGHTEST_MAG:
+            edges, counts = [0.0, *edges], [0, *counts]
+        bins = map(drawn, edges, edges[1:], counts, counts[1:])
+        ra, dec, v_mag = (np.concatenate(column, axis=-1) for column in zip(*bins, strict=True))
+        return Catalogue(ra, dec, np.zeros_like(ra), np.zeros_like(ra), v_mag).some(rng, self.size(point))
 
     def problem(self, point: Point) -> str | None:
         """Return a problem unless there are enough quasars between limits within the counts."""
@@ -382,22 +375,6 @@ BRIGHTEST_GALAXY_MAG, SMALLEST_V_MAX = 9.0, 11.0
 """No galaxy is as bright as the first: seven times the scatter above the mean."""
 
 
-def galaxies(
-    rng: np.random.Generator, n_obj: int, faint_limit_mag: float, sky: Sky, bright_limit_mag: float | None = None
-) -> Catalogue:
-    """Return galaxies without proper motion, their magnitudes normal about 12.5 +- 0.5 and cut off at the faint limit,
-    and at the bright one if there is any.
-    """
-    from scipy.special import ndtr, ndtri  # here: importing it takes a tenth of the start of every other study
-
-    ra, dec = sky.positions(rng, n_obj)
-    bright = -np.inf if bright_limit_mag is None else bright_limit_mag
-    # by inversion, which takes one uniform number for each object whatever the limits: draws are comparable
-    low, high = ndtr((np.array([bright, faint_limit_mag]) - GALAXY_MEAN_MAG) / GALAXY_SCATTER_MAG)
-    v_mag = GALAXY_MEAN_MAG + GALAXY_SCATTER_MAG * ndtri(low + (high - low) * (1.0 - rng.random(n_obj)))
-    return Catalogue(ra, dec, np.zeros_like(ra), np.zeros_like(ra), v_mag)
-
-
 class Galaxies(CatalogueKind):
     """`"galaxies"`: 116 of them, whatever the limits between which their magnitudes are drawn."""
 
@@ -411,8 +388,18 @@ class Galaxies(CatalogueKind):
         return max(brightest, BRIGHTEST_GALAXY_MAG), faintest
 
     def draw(self, point: Point, rng: np.random.Generator) -> Catalogue:
-        """Return galaxies with random positions and magnitudes."""
-        return galaxies(rng, self.size(point), self.magnitudes(point)[1], _sky(point), point["v_min"])
+        """Return galaxies without proper motion, their magnitudes normal about 12.5 +- 0.5 and cut off at the faint
+        limit, and at v_min if there is any.
+        """
+        from scipy.special import ndtr, ndtri  # here: importing it takes a tenth of the start of every other study
+
+        n_obj = self.size(point)
+        ra, dec = _sky(point).positions(rng, n_obj)
+        limits = np.array([-np.inf if point["v_min"] is None else point["v_min"], self.magnitudes(point)[1]])
+        # by inversion, which takes one uniform number for each object whatever the limits: draws are comparable
+        low, high = ndtr((limits - GALAXY_MEAN_MAG) / GALAXY_SCATTER_MAG)
+        v_mag = GALAXY_MEAN_MAG + GALAXY_SCATTER_MAG * ndtri(low + (high - low) * (1.0 - rng.random(n_obj)))
+        return Catalogue(ra, dec, np.zeros_like(ra), np.zeros_like(ra), v_mag)
 
     def problem(self, point: Point) -> str | None:
         """Return a problem unless the limits leave some of the distribution of magnitudes."""
@@ -445,23 +432,6 @@ and were not confirmed in print.
 """
 
 
-def radio_stars() -> Catalogue:
-    """Return the 11 radio stars with their proper motions and VLBI errors; no position errors are given for them."""
-    v_mag, ra, dec, pmra, pmra_error, pmdec, pmdec_error = np.array([star[2:] for star in RADIO_STARS]).T
-    none = np.zeros(len(v_mag))
-    sigma = np.stack([none, none, pmra_error, pmdec_error], axis=1) * MAS
-    return Catalogue(ra * DEGREE, dec * DEGREE, pmra * MAS, pmdec * MAS, v_mag, OwnErrors(sigma))
-
-
-def resample(rng: np.random.Generator, catalogue: Catalogue, n_obj: int, sky: Sky | None) -> Catalogue:
-    """Return ``n_obj`` objects drawn with replacement, at their own positions or (with a ``sky``) at random ones.
-
-    Magnitude, proper motion and errors of an object stay together.
-    """
-    drawn = catalogue.take(rng.integers(0, len(catalogue), n_obj))
-    return drawn if sky is None else drawn.moved_to(*sky.positions(rng, n_obj))
-
-
 class RadioStars(CatalogueKind):
     """`"radio-stars"`: drawn from the eleven with replacement."""
 
@@ -476,12 +446,16 @@ class RadioStars(CatalogueKind):
         return min(v_mag), max(v_mag)
 
     def draw(self, point: Point, rng: np.random.Generator) -> Catalogue:
-        """Return some of the stars; one may occur more than once."""
-        return resample(rng, radio_stars(), self.size(point), _sky(point) if self.has_random_positions(point) else None)
+        """Return some of the stars; one may occur more than once.  Its magnitude, motion and errors stay together."""
+        drawn = self.objects(point).take(rng.integers(0, self.number, self.size(point)))
+        return self.placed(drawn, point, rng)
 
     def objects(self, point: Point) -> Catalogue:
-        """Return the stars, which have errors of their own."""
-        return radio_stars()
+        """Return the stars with their proper motions and VLBI errors; no position errors are given for them."""
+        v_mag, ra, dec, pmra, pmra_error, pmdec, pmdec_error = np.array([star[2:] for star in RADIO_STARS]).T
+        none = np.zeros(len(v_mag))
+        sigma = np.stack([none, none, pmra_error, pmdec_error], axis=1) * MAS
+        return Catalogue(ra * DEGREE, dec * DEGREE, pmra * MAS, pmdec * MAS, v_mag, OwnErrors(sigma))
 
     def problem(self, point: Point) -> str | None:
         """Return a problem if there are limits: all stars are drawn from, whatever their magnitudes."""
@@ -586,9 +560,7 @@ class File(CatalogueKind):
 
     def draw(self, point: Point, rng: np.random.Generator) -> Catalogue:
         """Return the rows, at their own positions or at random ones."""
-        n_obj = self.size(point)
-        drawn = self.objects(point).some(rng, n_obj)
-        return drawn.moved_to(*_sky(point).positions(rng, n_obj)) if self.has_random_positions(point) else drawn
+        return self.placed(self.objects(point).some(rng, self.size(point)), point, rng)
 
     def objects(self, point: Point) -> Catalogue:
         """Return the rows between the limits."""

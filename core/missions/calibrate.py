@@ -11,6 +11,7 @@ fixed, so the model is a smooth function of the constants (common random numbers
 import itertools
 import json
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import resources
 from typing import Any, Literal
@@ -20,9 +21,9 @@ import pandas as pd
 from scipy import optimize
 
 from linksweep.core import catalogues
-from linksweep.core.catalogues import Sky
 from linksweep.core.frames import MAS, Array, triad
 from linksweep.core.missions import CALIBRATED, Curve, Exponentials
+from linksweep.core.parameters import PARAMETERS
 
 Model = Literal["amex", "gaia"]
 PUBLISHED = ("table1_quasars.csv", "galaxies.csv", "table2_radio_stars.csv")
@@ -72,24 +73,22 @@ def draw_skies(kind: str, n_cat: int, seed: int, faintest: float = 20.0) -> Skie
     """Return ``n_cat`` isotropic catalogues of a kind as the experiment draws them: quasars down to V = ``faintest``,
     the galaxies, or up to 100 radio stars drawn with replacement from the eleven.
     """
-    rng, sky = np.random.default_rng(seed), Sky()
-    if kind == "quasars":
-        counts = tuple(int(n) for n in catalogues.COUNT[faintest >= catalogues.V_MAX])
-        drawn = [catalogues.quasars(rng, faintest, sky) for _ in range(n_cat)]
-    elif kind == "galaxies":
-        counts = (catalogues.N_GALAXIES,)
-        drawn = [catalogues.galaxies(rng, *counts, catalogues.GALAXY_FAINT_LIMIT_MAG, sky) for _ in range(n_cat)]
-    else:
-        counts = tuple(range(10, 110, 10))
-        drawn = [catalogues.resample(rng, catalogues.radio_stars(), 100, sky) for _ in range(n_cat)]
+    known: dict[str, tuple[dict[str, Any], Sequence[int]]] = {
+        "quasars": ({"v_max": faintest}, catalogues.COUNT[faintest >= catalogues.V_MAX].tolist()),
+        "galaxies": ({}, [catalogues.N_GALAXIES]),
+        "radio-stars": ({"n_obj": 100}, range(10, 110, 10)),
+    }
+    settings, counts = known[kind]
+    point, rng = {one.name: one.default for one in PARAMETERS} | settings, np.random.default_rng(seed)
+    drawn = [catalogues.CATALOGUES[kind].draw(point, rng) for _ in range(n_cat)]
     v_mag, ra, dec = (np.stack([getattr(c, name) for c in drawn]) for name in ("v_mag", "ra", "dec"))
     p, q, _ = triad(ra, dec)
     row, column = np.triu_indices(3)
     geometry = np.stack([np.moveaxis(e[row] * e[column], 0, 1) for e in (q, p)], axis=1)
     reference = [c.errors.sigma[:, 2:].T / MAS for c in drawn if c.errors is not None]
     if not reference:
-        return Skies(v_mag, np.zeros_like(v_mag)[:, None], geometry.sum(axis=1, keepdims=True), counts)
-    return Skies(v_mag, np.stack(reference), geometry, counts)
+        return Skies(v_mag, np.zeros_like(v_mag)[:, None], geometry.sum(axis=1, keepdims=True), tuple(counts))
+    return Skies(v_mag, np.stack(reference), geometry, tuple(counts))
 
 
 def spin_variance(skies: Skies, curve: Curve, reference_error_scale: float = 1.0) -> Array:
