@@ -38,10 +38,13 @@ _END = re.compile(r" \(|, |; |: ")
 
 LEAST, MOST = 0.1, 1000.0  # a number from the first to below the second needs no other prefix
 STEPS = {"n": -9, "u": -6, "m": -3, "": 0, "k": 3, "M": 6, "G": 9}
-ONLY_SMALLER = ("s", "rad", "g")  # units that take only prefixes below one: nobody writes 3000 s as 3 ks
-ONLY_LARGER = ("pc", "yr", "lyr", "AU", "bit", "byte")
-# Units that take no prefix, mostly because their multiples have other names or they are logarithms.
-NEVER = ("d", "h", "min", "deg", "arcmin", "hourangle", "dex", "dB", "t", "ct", "ph", "mag")
+# The powers of ten of units that do not take all: nobody writes 3000 s as 3 ks.  Those that take none mostly have
+# multiples with other names, or are logarithms.
+TAKEN: Mapping[str, range] = {
+    **dict.fromkeys(("s", "rad", "g"), range(-9, 1)),
+    **dict.fromkeys(("pc", "yr", "lyr", "AU", "bit", "byte"), range(10)),
+    **dict.fromkeys(("d", "h", "min", "deg", "arcmin", "hourangle", "dex", "dB", "t", "ct", "ph", "mag"), range(0)),
+}
 # Angles by their powers of ten.  Smaller ones are not widely known, and for these astropy need not be imported, which
 # takes longer than everything else at the end of a run.
 ANGLES = {"uas": -6, "mas": -3, "arcsec": 0}
@@ -282,12 +285,9 @@ def prefixed(values: Any, unit: str) -> Prefixed:
         >>> prefixed([1e-320, 1.0], "m / s")
         Prefixed(unit='m / s', factor=1.0)
     """
-    here = Prefixed(unit, 1.0)
-    choices = _choices(unit)
-    sizes = _sizes(values) if choices else []
-    if not sizes:
-        return here
-    return min((here, *choices), key=lambda choice: sum(_zeros(size * choice.factor) for size in sizes))
+    choices = (Prefixed(unit, 1.0), *_choices(unit))  # the first of those that read alike
+    sizes = _sizes(values) if len(choices) > 1 else []
+    return min(choices, key=lambda choice: sum(_zeros(size * choice.factor) for size in sizes))
 
 
 def written(unit: str) -> str:
@@ -339,7 +339,7 @@ def _zeros(size: float) -> float:
 def _choices(unit: str) -> tuple[Prefixed, ...]:
     """Return the units with other prefixes; none for a unit that takes none."""
     token = _TOKEN.match(unit)
-    if token is None or token[0] in NEVER:
+    if token is None or TAKEN.get(token[0]) == range(0):
         return ()
     name, rest = token[0], unit[token.end() :]
     if name in ANGLES:
@@ -353,14 +353,8 @@ def _choices(unit: str) -> tuple[Prefixed, ...]:
         if isinstance(token_unit, units.PrefixUnit):
             base = str(token_unit.represents.bases[0])
             power = round(log10(float(token_unit.to(base))))
-        others = {
-            f"{prefix}{base}{rest}": 10.0 ** (power - step)
-            for prefix, step in STEPS.items()
-            if step != power
-            and base not in NEVER
-            and (step <= 0 or base not in ONLY_SMALLER)
-            and (step >= 0 or base not in ONLY_LARGER)
-        }
+        steps = {prefix: step for prefix, step in STEPS.items() if step in TAKEN.get(base, range(-9, 10))}
+        others = {f"{prefix}{base}{rest}": 10.0 ** (power - step) for prefix, step in steps.items() if step != power}
         # astropy has the last word: of a square the factor is another one
         return tuple(Prefixed(n, f) for n, f in others.items() if abs(float(whole.to(units.Unit(n))) / f - 1.0) < 1e-9)
     except (ValueError, TypeError, AttributeError):

@@ -132,10 +132,11 @@ class Table:
 
         table = astropy_table.Table(meta=dict(self.meta))
         for column in self.columns:
+            about: dict[str, Any] = {"unit": column.unit or None, "description": column.meaning or None}
             if len(set(map(np.shape, column.values))) > 1:  # arrays of several lengths
                 cells = np.empty(len(column.values), dtype=object)
                 cells[:] = column.values
-                table[column.name] = astropy_table.Column(cells, unit=column.unit or None)
+                table[column.name] = astropy_table.Column(cells, **about)
                 continue
             cells = np.array(column.values, dtype=object)
             missing = np.array([is_missing(cell) for cell in cells.reshape(-1)], dtype=bool).reshape(cells.shape)
@@ -143,7 +144,6 @@ class Table:
             masked = missing.any() and (cells.ndim == 1 or isinstance(known, int))  # arrays of floats can hold NaN
             if masked:
                 cells[missing] = known  # a NaN would make floats of integers
-            about: dict[str, Any] = {"unit": column.unit or None, "description": column.meaning or None}
             table[column.name] = astropy_table.MaskedColumn(cells.tolist(), mask=missing if masked else False, **about)
         out = io.StringIO()
         table.write(out, format="ascii.ecsv")
