@@ -14,7 +14,6 @@ import tempfile
 import time
 import tomllib
 import warnings
-from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future as Fetching, ThreadPoolExecutor, wait
 from contextlib import ExitStack, contextmanager, suppress
@@ -141,19 +140,18 @@ def client_at(address: str, security: Security | None = None) -> Iterator[Client
     protocol, _, rest = address.partition("://")
     if protocol not in ("tcp", "tls") or not rest.rpartition(":")[0] or not rest.rpartition(":")[2].isdecimal():
         raise SweepError(f"no Dask scheduler has the address {address!r}; expected tcp://HOST:PORT or tls://HOST:PORT")
-    with without_logs(), ExitStack() as stack:
-        try:
-            with ThreadPoolExecutor(1) as pool:  # a notebook has an event loop in this thread
-                kind = pool.submit(lambda: asyncio.run(_kind_of_server(address, options))).result()
-            if kind in ("Worker", "Nanny"):
-                raise SweepError(f"{address!r} is the address of a Dask {kind.lower()}, not of a scheduler")
-            with warnings.catch_warnings(action="ignore"):  # of other versions: `DaskDriver` says it in words
-                client = Client(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False, security=security)
-        except (OSError, ValueError, TypeError, TimeoutError) as error:
-            reason = f": {error}" if str(error) else ""
-            message = f"no Dask scheduler answers at {address!r} within {CONNECT_TIMEOUT_S} s{reason}"
-            raise SweepError(message) from error
-        yield stack.enter_context(client)
+    try:
+        with ThreadPoolExecutor(1) as pool:  # a notebook has an event loop in this thread
+            kind = pool.submit(lambda: asyncio.run(_kind_of_server(address, options))).result()
+        if kind in ("Worker", "Nanny"):
+            raise SweepError(f"{address!r} is the address of a Dask {kind.lower()}, not of a scheduler")
+        with warnings.catch_warnings(action="ignore"):  # of other versions: `DaskDriver` says it in words
+            client = Client(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False, security=security)
+    except (OSError, ValueError, TypeError, TimeoutError) as error:
+        reason = f": {error}" if str(error) else ""
+        raise SweepError(f"no Dask scheduler answers at {address!r} within {CONNECT_TIMEOUT_S} s{reason}") from error
+    with client:
+        yield client
 
 
 async def _kind_of_server(address: str, options: dict[str, Any]) -> str:
@@ -206,7 +204,6 @@ def own_cluster(kind: Any, options: Mapping[str, Any]) -> Iterator[Any]:
     run code in it.  Options that name a ``protocol`` or a ``security`` are left as they are.
     """
     with ExitStack() as stack:
-        stack.enter_context(without_logs())
         scratch = stack.enter_context(tempfile.TemporaryDirectory(prefix="linksweep-", ignore_cleanup_errors=True))
         stack.callback(set_environment, dict(os.environ))  # Dask, too, adds to it before it starts workers
         stack.enter_context(dask.config.set({**OWN_CLUSTER, "temporary-directory": scratch}))
@@ -295,13 +292,8 @@ def without_logs() -> Iterator[None]:
     """Keep Dask's log off standard error in this block, since we say in a sentence what it says at length; other
     handlers of its loggers are left alone.
     """
-    handlers = [
-        handler
-        for name, logger in list(logging.root.manager.loggerDict.items())
-        if name.partition(".")[0] in ("distributed", "tornado", "bokeh") and isinstance(logger, logging.Logger)
-        for handler in logger.handlers
-        if type(handler) is logging.StreamHandler
-    ]
+    # One of Dask's is that of all its loggers, of tornado's and of bokeh's.
+    handlers = [one for one in logging.getLogger("distributed").handlers if type(one) is logging.StreamHandler]
     for handler in handlers:
         handler.addFilter(_no_record)
     try:
@@ -609,7 +601,6 @@ class DaskDriver:
         """Compute everything that ``take`` gives; begin now, not when the first result is asked for."""
         self._take: Callable[[int], Sequence[Any]] = take
         self._ended: SimpleQueue[Future[Any]] = SimpleQueue()
-        self._arrived: deque[tuple[Future[Any], Reply | None]] = deque()
         self._succeeded = 0
         self._send_what_is_new()
         return self._results()
@@ -624,36 +615,26 @@ class DaskDriver:
 
     def _results(self) -> Iterator[tuple[Any, Any]]:
         """Yield each job with its result until there are no more."""
-        while True:
-            if not self._arrived or self._room() >= self._threads:
-                self._send_what_is_new()
-            if not self._in_flight:
-                return
-            if not self._arrived:
-                self._wait()
-                continue
-            future, fetched = self._arrived.popleft()
-            one = self._in_flight.pop(future)
-            try:
-                answer = self._received(future, fetched)
-            except SweepError:
-                raise
-            except KilledWorker as error:
-                if one.losses + 1 < MAX_LOSSES:
-                    self._send(self._after_loss(one))
-                    continue
-                if one.succeeded == self._succeeded:  # that is no proof against a block
-                    words = f"the workers of {self._where} die whatever they do; no point is blamed for it, {KEPT}"
-                    raise SweepError(words) from error
-                yield one.job, one.job.failed(Failure("killed", f"its worker died {MAX_LOSSES} times: {error}"))
-            except Exception as error:
-                self._send([self._after_trouble(one, error)])
-            else:
-                if answer.another is not None:  # in values that are known now to differ from process to process
-                    self._send([one])
-                    continue
-                self._succeeded += 1
-                yield one.job, answer.result
+        while self._in_flight:
+            for future, fetched in self._arrived():
+                one = self._in_flight.pop(future)
+                try:
+                    answer = self._received(future, fetched)
+                except SweepError:
+                    raise
+                except KilledWorker as error:
+                    yield from self._lost(one, error)
+                except Exception as error:
+                    self._send([self._after_trouble(one, error)])
+                else:
+                    if answer.another is None:
+                        self._succeeded += 1
+                        yield one.job, answer.result
+                    else:  # in values that are known now to differ from process to process
+                        self._send([one])
+                if self._room() >= self._threads:
+                    self._send_what_is_new()
+            self._send_what_is_new()
 
     def _send(self, submissions: Sequence[_Submission]) -> None:
         """Send jobs in one message; all of them were with a worker that died equally often."""
@@ -679,15 +660,20 @@ class DaskDriver:
         limits = (worker["memory_limit"] for worker in self.client.scheduler_info()["workers"].values())
         return self._limits.memory or min(filter(None, limits), default=None)
 
-    def _after_loss(self, one: _Submission) -> list[_Submission]:
-        """Return what is to be tried after the death of a worker: the work that is still wanted in a child process, and
-        if that takes its worker with it, each block in one of its own.
+    def _lost(self, one: _Submission, error: KilledWorker) -> Iterator[tuple[Any, Any]]:
+        """Try again what was with a worker that died: the work that is still wanted in a child process, and if that
+        takes its worker with it, each block in one of its own; yield the failure of one that does so again.
         """
         losses = one.losses + 1
-        self._say(f"a worker died; a child process of another one does its work again ({losses})")
-        jobs = [one.job] if losses == 1 else one.job.alone()
-        some = [replace(one, job=job.wanted(), losses=losses, succeeded=self._succeeded) for job in jobs]
-        return [again for again in some if again.job]
+        if losses < MAX_LOSSES:
+            self._say(f"a worker died; a child process of another one does its work again ({losses})")
+            jobs = [job.wanted() for job in ([one.job] if losses == 1 else one.job.alone())]
+            self._send([replace(one, job=job, losses=losses, succeeded=self._succeeded) for job in jobs if job])
+        elif one.succeeded == self._succeeded:  # that is no proof against a block
+            words = f"the workers of {self._where} die whatever they do; no point is blamed for it, {KEPT}"
+            raise SweepError(words) from error
+        else:
+            yield one.job, one.job.failed(Failure("killed", f"its worker died {MAX_LOSSES} times: {error}"))
 
     def _after_trouble(self, one: _Submission, error: Exception) -> _Submission:
         """Return what is to be tried after an error that is not the experiment's; raises SweepError after too many."""
@@ -701,16 +687,16 @@ class DaskDriver:
         time.sleep(PAUSE_S)  # what ails Dask may pass
         return replace(one, troubles=one.troubles + 1)
 
-    def _wait(self) -> None:
-        """Wait for futures that end, and watch the workers meanwhile; fetch results in one message.  What fails so is
-        fetched by itself later.
+    def _arrived(self) -> list[tuple[Future[Any], Reply | None]]:
+        """Wait for futures that end, and watch the workers meanwhile; return them with their results, fetched in one
+        message.  What fails so is fetched by itself later.
         """
         if time.monotonic() - self._looked > LOOK_EVERY_S:
             self._look()
         try:
             futures = [self._ended.get(timeout=LOOK_EVERY_S)]
         except Empty:
-            return
+            return []
         while len(futures) < MOST_FETCHED and not self._ended.empty():
             futures.append(self._ended.get())
         good = [future for future in futures if future.status == "finished"]
@@ -719,7 +705,7 @@ class DaskDriver:
             with suppress(Exception):
                 answers = self._fetch(good).result(LOOK_EVERY_S)
         known = dict(zip(good, answers, strict=False))
-        self._arrived.extend((future, known.get(future)) for future in futures)
+        return [(future, known.get(future)) for future in futures]
 
     def _fetch(self, futures: list[Future[Any]]) -> Fetching[list[Reply]]:
         """Begin to fetch results, in one message.
