@@ -15,7 +15,7 @@ import stat
 import time
 from collections.abc import Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager, contextmanager, nullcontext, suppress
+from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime, timedelta
 from functools import cached_property
@@ -137,22 +137,17 @@ class Folder:
         """
         path = self._at(key)
         guard = path.with_name(f"{path.name}{TAKING}")
-        has_guard = False
-        with suppress(FileNotFoundError, FileExistsError), path.open("rb") as file:
+        with suppress(FileNotFoundError, FileExistsError), path.open("rb") as file, ExitStack() as stack:
             try:
-                try:
-                    fcntl.flock(file, fcntl.LOCK_EX)
-                except OSError:
-                    # Some network disks have no locks; a file that only one process can make has to do.
-                    guard.touch(exist_ok=False)
-                    has_guard = True
-                # Who waited for the lock of a file that was replaced meanwhile does not hold that of the new one.
-                if self.get(key) == old and os.path.samestat(os.fstat(file.fileno()), path.stat()):
-                    self._write(key, new, durable=True)
-                    return True
-            finally:
-                if has_guard:
-                    guard.unlink(missing_ok=True)
+                fcntl.flock(file, fcntl.LOCK_EX)
+            except OSError:
+                # Some network disks have no locks; a file that only one process can make has to do.
+                guard.touch(exist_ok=False)
+                stack.callback(guard.unlink, missing_ok=True)
+            # Who waited for the lock of a file that was replaced meanwhile does not hold that of the new one.
+            if self.get(key) == old and os.path.samestat(os.fstat(file.fileno()), path.stat()):
+                self._write(key, new, durable=True)
+                return True
         return False
 
     def delete(self, key: str) -> None:

@@ -216,7 +216,10 @@ class Store(OpenStore):
             CHUNKS: json.dumps(checksums),
         }
         about = {STORE: attributes[STORE], REVISION: generation}
-        described = {f"{name}/zarr.json": document for name, document in documents.items()}
+        described = dict[str, bytes]()
+        for name, array in documents.items():
+            file = f"{name}/zarr.json"
+            described[file] = integrity.sealed({**array, "attributes": {**array["attributes"], **about}}, file)
         gone = {f"{name}/zarr.json" for name in arrays_of(self.root)} - described.keys()
         in_use = {*described, *checksums, *chunk_checksums(self.root)}
         with self._writing():
@@ -227,14 +230,8 @@ class Store(OpenStore):
             self.location.copy_all({key: ledgers.file_of(chunk) for key, chunk in linked.items()})
             # Values first and the status last, for those who read without the root document.
             for is_status in (False, True):
-                self.location.put_all({k: c for k, c in chunks.items() if k.startswith("status/") == is_status})
-                self.location.put_all(
-                    {
-                        file: integrity.sealed({**array, "attributes": {**array["attributes"], **about}}, file)
-                        for file, array in described.items()
-                        if (file == "status/zarr.json") == is_status
-                    }
-                )
+                for files in (chunks, described):
+                    self.location.put_all({k: c for k, c in files.items() if k.startswith("status/") == is_status})
             attributes[LEDGER_THEN] = self._ledger.manifest.model_dump_json()
             self._put_root(integrity.group_document(attributes, documents))
             # Who reads the last writing may miss values so far, and nothing else: NaN, as if there were none yet.
