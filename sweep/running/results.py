@@ -193,20 +193,20 @@ def _so_far(plan: Plan, accumulator: Accumulator) -> dict[str, Variable]:
         results = dict(accumulator.reducer.finish(rows.reshape(-1), n.astype(float), n_cat.astype(float)))
     except Exception:  # whatever a user's function raises
         return {}
-    few = n_cat < min(FEWEST_SAMPLES, grid.study.sampling.n_cat)
+    there, few = np.array([*so_far]), n_cat < min(FEWEST_SAMPLES, grid.study.sampling.n_cat)
     outputs = {output.name: output for output in experiment.outputs if output.name not in grid.study.axes}
     errors = {error for output in outputs.values() for error in output.errors}
     variables = {}
     for name, output in outputs.items():
         values = np.full((len(grid), *experiment.shape_of(output)), np.nan)
-        values[list(so_far)] = results[name]
+        values[there] = results[name]
         if name in errors or name.endswith(("_mc_error", "_catalogue_error")):
-            values[np.array(list(so_far))[few]] = np.nan
-        variables[f"{name}{RUNNING}"] = _variable(grid, grid.with_repeats(values), output)
+            values[there[few]] = np.nan
+        variables[f"{name}{RUNNING}"] = _variable(grid, values, output)
     done = np.zeros(len(grid), dtype=np.int64)
-    done[list(so_far)] = n
+    done[there] = n
     meaning = "realisations in what there is so far"
-    variables[f"n_sim_done{RUNNING}"] = _variable(grid, grid.with_repeats(done), Output("n_sim_done", "", meaning))
+    variables[f"n_sim_done{RUNNING}"] = _variable(grid, done, Output("n_sim_done", "", meaning))
     return variables
 
 
@@ -294,7 +294,7 @@ def code_variable(
             made_by = {bisect_right(starts, rows[ledger_key(point.digest, one)]) for one in plan.blocks(cost, parts)}
             codes[point.index] = made_by.pop() if len(made_by) == 1 else -1
     meaning = "code that made the point: its place, from 1, in the attribute code; 0 none, -1 several"
-    return _variable(plan.grid, plan.grid.with_repeats(codes), Output("code", "", meaning))
+    return _variable(plan.grid, codes, Output("code", "", meaning))
 
 
 def _variable(grid: Grid, values: Any, output: Output) -> Variable:
@@ -306,7 +306,7 @@ def _variable(grid: Grid, values: Any, output: Output) -> Variable:
     if values.dtype.kind == "M":
         attributes.pop("units", None)  # xarray has its own for times
     if not isinstance(values, Stored):
-        values = values.reshape((*grid.shape, *values.shape[1:]))
+        values = grid.with_repeats(values).reshape((*grid.shape, *values.shape[1:]))
     return Variable((*grid.dimensions, *output.dims), values, attributes)
 
 
@@ -329,8 +329,8 @@ def _coordinates(grid: Grid) -> dict[str, Variable]:
     for dimension, axes in grid.dimensions.items():
         for name, along in zip(axes, zip(*grid.rows[dimension], strict=True), strict=True):
             parameter = experiment.parameter(name)
-            blank = NO_EFFECT if name in study.alone or name not in study.when else None
-            missing = [one is blank for one in along] if blank else grid.without(name) == 1.0
+            has_own_place = name in study.alone or name not in study.when
+            missing = [one is NO_EFFECT for one in along] if has_own_place else grid.without(name) == 1.0
             kinds = {type(value) for value, is_missing in zip(along, missing, strict=True) if not is_missing}
             is_text = parameter.kind == "str" or not (kinds <= {int, float} or kinds == {bool})
             values = [
@@ -381,11 +381,11 @@ def _published(grid: Grid) -> dict[str, Variable]:
             values[index], roundings[index] = float(text), printed_rounding(text)
         name, rounding = f"{column}_published", f"{column}_published_rounding"
         meaning = f"published {short_meaning(output.meaning) or output.name}"
-        variables[name] = _variable(grid, grid.with_repeats(values), Output(name, output.unit, meaning))
+        variables[name] = _variable(grid, values, Output(name, output.unit, meaning))
         outside = sum(bool(text) for _, text in printed) - len(inside)
         variables[name].attrs.update(origin, outside_grid=outside)
         meaning = f"half a unit of the last printed digit of {name}"
-        variables[rounding] = _variable(grid, grid.with_repeats(roundings), Output(rounding, output.unit, meaning))
+        variables[rounding] = _variable(grid, roundings, Output(rounding, output.unit, meaning))
     return variables
 
 
@@ -414,31 +414,23 @@ def add_covariances(dataset: Labelled, plan: Plan, accumulator: Accumulator, sto
     all correlated errors: those of realisations, and those of catalogues if there are several.  The attribute
     ``samples`` says how many samples there were; with fewer than `FEWEST_SAMPLES` there is no covariance.
     """
-    samples = _independent(plan)
+    samples, grid, experiment = _independent(plan), plan.grid, plan.grid.study.experiment
     if len(samples) < FEWEST_SAMPLES:
         return dataset
-    outputs = {output.name: output for output in plan.grid.study.experiment.outputs}
-    with_error = [o for o in outputs.values() if f"{o.name}_mc_error" in outputs and o.name not in plan.grid.study.axes]
-    along = {output: _shared_dimensions(plan, output, len(samples)) for output in with_error}
-    along = {output: dimensions for output, dimensions in along.items() if dimensions}
-    deviations = _deviations(plan, accumulator, samples, list(along), store) if along else {}
+    lengths = dict(zip(grid.dimensions, grid.shape, strict=True))
+    shared = [dimension for dimension, axes in grid.dimensions.items() if {*axes} <= {*experiment.shared}]
+    outputs = {output.name: output for output in experiment.outputs}
+    with_error = [o for o in outputs.values() if f"{o.name}_mc_error" in outputs and o.name not in grid.study.axes]
+    size = {o: len(grid) * experiment.size_of(o) for o in with_error}
+    wanted = [(o, d) for o in with_error for d in shared if size[o] * max(lengths[d], len(samples)) <= LARGEST]
+    deviations = _deviations(plan, accumulator, samples, [o for o, _ in wanted], store) if wanted else {}
     made = {
         f"{output.name}_mc_covariance_{dimension}": _covariance(plan, deviations[output.name], output, dimension)
-        for output, dimensions in along.items()
-        for dimension in dimensions
+        for output, dimension in wanted
         if not np.isnan(deviations[output.name]).all()  # as of quantiles, which no sum gives
     }
     others = {one.dims[-1]: replace(dataset.coords[one.dims[-2]], dims=one.dims[-1:]) for one in made.values()}
     return replace(dataset.assign(made), coords=dataset.coords | others)
-
-
-def _shared_dimensions(plan: Plan, output: Output, samples: int) -> list[str]:
-    """Return the dimensions along which points share random numbers, unless the covariance is too large."""
-    grid, experiment = plan.grid, plan.grid.study.experiment
-    size = len(grid) * experiment.size_of(output)
-    shared = [d for d, axes in grid.dimensions.items() if set(axes) <= set(experiment.shared)]
-    lengths = dict(zip(grid.dimensions, grid.shape, strict=True))
-    return [d for d in shared if size * max(lengths[d], samples) <= LARGEST]
 
 
 def _independent(plan: Plan) -> list[list[Block]]:
@@ -464,16 +456,15 @@ def _deviations(
     catalogues = np.full(count, float(max(n_cat - 1, 1)))
     deviations = {o.name: np.full((len(grid), experiment.size_of(o), count), np.nan) for o in outputs}
     for point in grid.points(np.flatnonzero(accumulator.status == Status.DONE)):
-        n = float(accumulator.realisations[point.index])
+        n, total = float(accumulator.realisations[point.index]), accumulator.total[point.index : point.index + 1]
+        row = {block: rows[ledger_key(point.digest, block)] for block in plan.blocks(1.0)}
         if isinstance(reducer, Sums):
-            keys = [[ledger_key(point.digest, block) for block in blocks] for blocks in samples]
-            alone = np.array([reducer.flat(ledger[[rows[key] for key in some]]).sum(axis=0) for some in keys])
-            without = reducer.typed(reducer.flat(accumulator.total[point.index : point.index + 1]) - alone)
+            alone = [reducer.flat(ledger[[row[block] for block in blocks]]).sum(axis=0) for blocks in samples]
+            without = reducer.typed(reducer.flat(total) - np.array(alone))
         else:
-            places = [rows[ledger_key(point.digest, block)] for block in plan.blocks(1.0)]
-            without = _without_each(reducer, [ledger[place : place + 1] for place in places])[:count]
+            without = _without_each(reducer, [ledger[place : place + 1] for place in row.values()])[:count]
         results = reducer.finish(without, np.full(count, n - alone_n), catalogues)
-        total, draws = accumulator.total[point.index : point.index + 1], np.array([n, float(n_cat)]).reshape(2, 1)
+        draws = np.array([n, float(n_cat)]).reshape(2, 1)
         twice = reducer.finish(reducer.add(total, total), *draws * [[2.0], [min(n_cat, 2.0)]])
         once = reducer.finish(total, *draws)
         scale = (n - alone_n) / np.sqrt(n * alone_n * (count - 1.0))  # sqrt((count - 1)/count), if these are all blocks
