@@ -288,16 +288,16 @@ class Card:
 
 def _picture(dataset: xr.Dataset) -> str:
     """Return the figure as an image that is part of the page; a sentence where there is none."""
+    out = io.BytesIO()
     try:
         from linksweep.sweep.plots.figure import draw_figure
         from linksweep.sweep.plots.style import description, settings
-    except ImportError:
-        return "<p><small>A figure needs Matplotlib: <code>pip install 'linksweep[plot]'</code></small></p>"
-    out = io.BytesIO()
-    try:
+
         with settings():
             figure = draw_figure(dataset.assign_attrs(title=""))
             figure.savefig(out, format="png", dpi=150)
+    except ImportError:
+        return "<p><small>A figure needs Matplotlib: <code>pip install 'linksweep[plot]'</code></small></p>"
     except (SweepError, ValueError) as error:  # a ValueError: a name that matplotlib takes for a formula
         return f"<p><small>{escape(f'No figure: {error}')}</small></p>"
     image, words = base64.b64encode(out.getvalue()).decode(), escape(description(figure, dataset), quote=True)

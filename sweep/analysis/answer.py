@@ -235,9 +235,7 @@ class _MissingError(ValueError):
 
 def _filled(dataset: xr.Dataset, conclusion: Conclusion, sentence: str) -> str:
     """Return a sentence with its numbers; raises _MissingError, and OutsideGridError as `measure` does."""
-    pieces: list[str] = []
-    unmet: list[str] = []
-    unjudged: list[str] = []
+    pieces, unmet, unjudged = list[str](), dict[str, None](), dict[str, None]()
     before: tuple[float, str] | None = None  # the last number, its unit; its error may follow
     for text, name, form, _ in Formatter().parse(sentence):
         pieces.append(text)
@@ -255,14 +253,14 @@ def _filled(dataset: xr.Dataset, conclusion: Conclusion, sentence: str) -> str:
         before = None if form else (number, unit)
         words = compare.in_words(derived)
         if value.has_bounds and not np.isfinite(error):
-            unjudged.append(words)
+            unjudged[words] = None
         elif bound := _broken_bound(value, number, error):
-            unmet.append(f"{words} is {formatting.in_short(number, error, unit)}, not {bound}")
+            unmet[f"{words} is {formatting.in_short(number, error, unit)}, not {bound}"] = None
     text = "".join(pieces)
     if unmet:
-        return f"Expected, but not found: “{text}” ({'; '.join(dict.fromkeys(unmet))})."
+        return f"Expected, but not found: “{text}” ({'; '.join(unmet)})."
     if unjudged:
-        return f"Not judged: “{text}” (the error of {', '.join(dict.fromkeys(unjudged))} is not known)."
+        return f"Not judged: “{text}” (the error of {', '.join(unjudged)} is not known)."
     return text
 
 

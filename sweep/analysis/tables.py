@@ -57,7 +57,7 @@ def derived(
 
 def headline(result: xr.Dataset) -> list[str]:
     """Return in a sentence which parameters decide a result, if these are indices of one number at each point."""
-    if "first" not in result or result["first"].ndim != 1 or result.sizes["parameter"] < 2:
+    if "first" not in result or result["first"].dims != ("parameter",) or result.sizes["parameter"] < 2:
         return []
     names, shares, errors = result.parameter.values, *(100.0 * result[n].values for n in ("first", "first_error"))
     known = [k for k in np.argsort(-shares).tolist() if shares[k] >= LEAST_SHARE]

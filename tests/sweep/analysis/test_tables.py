@@ -78,7 +78,7 @@ def test_days_are_told_apart_wherever_they_are_shown(tmp_path):
     days = [line.split()[0] for line in shown("show", store, "--at", "w=1").splitlines() if "246" in line]
     assert days == [f"{day:.10g}" for day in jd]
     assert "2.1" in shown("show", store, "--at", "w=1", "--at", f"jd={days[1]}")
-    found = shown("find", store, "--over", "jd", "--where", "freq > 1420405752")
+    found = repr(linksweep.answer(linksweep.find(linksweep.open(store), "freq > 1420405752", over="jd")))
     assert re.findall(r"from (\S+)", found) == ["2460000.23", "2460000.12"]
     assert "freq > 1420405752 along" in found
     assert "at 2460001 is nearest" in shown("find", store, "--over", "jd", "--where", "flux > 9")
