@@ -678,9 +678,8 @@ def new(name: str = arg(), experiment: str = EXPERIMENT) -> None:
     path = Path(f"{name}.toml")
     text = made.new_study(name, experiment, code.load_experiment(experiment)).encode(errors="replace")
     with reading(path, "cannot be written"):
-        is_made = Folder(Path()).create(path.name, text)
-    if not is_made:
-        raise linksweep.SweepError("exists already; take another name", str(path))
+        if not Folder(Path()).create(path.name, text):
+            raise linksweep.SweepError("exists already; take another name", str(path))
     cli.wrote(path, f"; edit it, then: sweep plan {typed(path)}")
 
 
@@ -731,17 +730,16 @@ def _declared(entry: str, *groups: type[Declared]) -> Any:
     """Declare the options of a command as they are declared once for all; these check the values."""
     made = {}
     for one in declared(entry, *groups):
-        limits, metavar, kind = one.metadata["about"], one.metadata["metavar"], one.metadata["about"]["kind"]
-        more: dict[str, Any] = {"metavar": metavar, "type": str} if metavar else {"is_flag": True}
-        if metavar == "FILE":
-            more["type"] = FILE
-        name = one.name.removesuffix("s") if "=" in metavar and kind in ("map", "files") else one.name
-        several = kind in ("map", "files") or bool(one.metadata["joined"])
-        flag_name = FLAGS.get(one.name, "--" + name.replace("_", "-"))
-        if one.default not in (None, (), "") and metavar:
+        metavar, meaning = one.metadata["metavar"], one.metadata["about"]["meaning"]
+        is_map = one.metadata["about"]["kind"] in ("map", "files")
+        several = is_map or bool(one.metadata["joined"])
+        name = one.name.removesuffix("s") if is_map and "=" in metavar else one.name
+        more: dict[str, Any] = {"type": FILE if metavar == "FILE" else str} if metavar else {"is_flag": True}
+        if metavar and one.default not in (None, (), ""):
             more["default"] = [one.default] if several else one.default
-        text = limits["meaning"]
-        made[one.name] = opt(f"{text[:1].upper()}{text[1:]}.", flag_name, multiple=several, **more)
+        names = FLAGS.get(one.name, "--" + name.replace("_", "-"))
+        words = f"{meaning[:1].upper()}{meaning[1:]}."
+        made[one.name] = opt(words, names, multiple=several, metavar=metavar or None, **more)
     return passed(**made)
 
 
@@ -764,11 +762,11 @@ class Target:
         if self.figures is not None:
             cli.drawing_styles()
 
-    def put(self, result: "xr.Dataset", rejected: bool = False) -> None:
-        """Print a result; write it and draw its figures unless it is ``rejected``."""
-        if self.output is not None and not rejected:
+    def put(self, result: "xr.Dataset") -> None:
+        """Print a result, write it and draw its figures."""
+        if self.output is not None:
             cli.save_result(result, self.output)
-        if self.figures is not None and not rejected:
+        if self.figures is not None:
             from linksweep.sweep.plots import figure as drawing, style
             from linksweep.sweep.result import Result
 
@@ -806,7 +804,7 @@ def tie(
     try:
         target.put(linksweep.tie(satellite, reference, resources=resources, **asked))
     except MisfitError as error:
-        target.put(error.link, rejected=True)
+        Target(None, None, target.as_json).put(error.link)
         click.echo(f"error: {error.said('--accept-misfit')}", err=True)
         sys.exit(cli.EXIT_FAILED_POINTS)
 
