@@ -25,7 +25,7 @@ import numpy as np
 from astropy.table import Table
 from numpy.typing import NDArray
 
-from linksweep.core.catalogues import Sky
+from linksweep.core.catalogues import isotropic
 from linksweep.core.frames import ARCSEC, DEGREE, GALACTIC_AXES, MAS, position
 from linksweep.sweep.search.search import Positions, at_epoch
 
@@ -48,7 +48,7 @@ def shifted(ra: Array, dec: Array, east: Array, north: Array) -> tuple[Array, Ar
 
 def star_sky(rng: np.random.Generator, n: int) -> tuple[Array, Array]:
     """Return ra, dec (rad): 40 % isotropic, 60 % toward the Galactic plane with an e-folding of 0.25 in sin b."""
-    ra, dec = Sky().positions(rng, n)
+    ra, dec = isotropic(rng, n)
     disc = rng.random(n) < 0.6
     sin_b = rng.laplace(0.0, 0.25, n)
     sin_b = np.where(np.abs(sin_b) < 1.0, sin_b, rng.uniform(-1.0, 1.0, n))
@@ -60,7 +60,7 @@ def star_sky(rng: np.random.Generator, n: int) -> tuple[Array, Array]:
 
 def galaxy_sky(rng: np.random.Generator, n: int) -> tuple[Array, Array]:
     """Return ra, dec (rad): |b| > 8 deg, 40 % within about 0.3 deg of another one."""
-    ra, dec = Sky(zone_of_avoidance=8.0 * DEGREE).positions(rng, n)
+    ra, dec = isotropic(rng, n, zone_of_avoidance=8.0 * DEGREE)
     member, centre = rng.random(n) < 0.4, rng.integers(0, max(n // 50, 1), n)
     near_ra, near_dec = shifted(
         ra[centre], dec[centre], rng.normal(0.0, 0.3 * DEGREE, n), rng.normal(0.0, 0.3 * DEGREE, n)

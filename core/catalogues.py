@@ -102,28 +102,24 @@ class NestedDraw:
         return self.draw(rng)
 
 
-@dataclass(frozen=True)
-class Sky:
-    """Where objects may stand: uniform over the sky with two exceptions.
+def isotropic(
+    rng: np.random.Generator, n_obj: int, zone_of_avoidance: float = 0.0, contrast: float = 0.0
+) -> tuple[Array, Array]:
+    """Return ra, dec (rad) of shape (n_obj,), or (catalogues, n_obj) of several that are drawn together: uniform over
+    the sky with two exceptions.
 
     There are none at Galactic latitudes |b| < ``zone_of_avoidance`` (rad), and (1 + contrast)/(1 - contrast) times as
     many north of the Galactic plane as south of it (-1 < ``contrast`` < 1).
     """
-
-    zone_of_avoidance: float = 0.0
-    contrast: float = 0.0
-
-    def positions(self, rng: np.random.Generator, n_obj: int) -> tuple[Array, Array]:
-        """Return ra, dec (rad) of shape (n_obj,), or (catalogues, n_obj) of several that are drawn together."""
-        longitude = rng.uniform(0.0, 2.0 * np.pi, n_obj)
-        height = rng.uniform(-1.0, 1.0, n_obj) + self.contrast  # uniform on each side of the plane, more on one
-        north = height > 0.0
-        fraction = height / np.where(north, 1.0 + self.contrast, 1.0 - self.contrast)
-        floor = np.sin(self.zone_of_avoidance)
-        sin_b = np.where(north, floor, -floor) + (1.0 - floor) * fraction
-        cos_b = np.sqrt(1.0 - sin_b**2)
-        galactic = np.stack([cos_b * np.cos(longitude), cos_b * np.sin(longitude), sin_b], axis=-2)
-        return position(np.moveaxis(GALACTIC_AXES.T @ galactic, -2, 0))
+    longitude = rng.uniform(0.0, 2.0 * np.pi, n_obj)
+    height = rng.uniform(-1.0, 1.0, n_obj) + contrast  # uniform on each side of the plane, more on one
+    north = height > 0.0
+    fraction = height / np.where(north, 1.0 + contrast, 1.0 - contrast)
+    floor = np.sin(zone_of_avoidance)
+    sin_b = np.where(north, floor, -floor) + (1.0 - floor) * fraction
+    cos_b = np.sqrt(1.0 - sin_b**2)
+    galactic = np.stack([cos_b * np.cos(longitude), cos_b * np.sin(longitude), sin_b], axis=-2)
+    return position(np.moveaxis(GALACTIC_AXES.T @ galactic, -2, 0))
 
 
 RANDOM_SKY = frozenset({"zone_of_avoidance", "sky_contrast"})
@@ -179,7 +175,7 @@ class CatalogueKind:
         """Return objects at random positions, with their motions along the local triad there, or at their own."""
         if not self.has_random_positions(point):
             return objects
-        ra, dec = _sky(point).positions(rng, len(objects))
+        ra, dec = _positions(point, rng, len(objects))
         return replace(objects if ra.ndim == objects.ra.ndim else objects.repeated(len(ra)), ra=ra, dec=dec)
 
     def objects(self, point: Point) -> Catalogue | None:
@@ -207,8 +203,8 @@ class CatalogueKind:
         return NestedDraw(family, self.size(point), partial(self.draw, point), self.draws_several)
 
 
-def _sky(point: Point) -> Sky:
-    return Sky(point["zone_of_avoidance"] * DEGREE, point["sky_contrast"])
+def _positions(point: Point, rng: np.random.Generator, n_obj: int) -> tuple[Array, Array]:
+    return isotropic(rng, n_obj, point["zone_of_avoidance"] * DEGREE, point["sky_contrast"])
 
 
 def _limits(point: Point, brightest: float, faintest: float) -> tuple[float, float]:
@@ -252,7 +248,7 @@ class Synthetic(CatalogueKind):
     def draw(self, point: Point, rng: np.random.Generator) -> Catalogue:
         """Return objects with random positions, magnitudes and motions."""
         n_obj = self.size(point)
-        ra, dec = _sky(point).positions(rng, n_obj)
+        ra, dec = _positions(point, rng, n_obj)
         v_mag = rng.uniform(*self.magnitudes(point), n_obj)
         # drawn for constant moduli too, so that directions do not change with the distribution
         uniform = rng.random(n_obj)
@@ -336,7 +332,7 @@ class Quasars(CatalogueKind):
         """
 
         def drawn(bright: float, faint: float, low: int, high: int) -> tuple[Array, Array, Array]:
-            ra, dec = _sky(point).positions(rng, high - low)
+            ra, dec = _positions(point, rng, high - low)
             # a rank for each object of the bin; in (low, high], so that its logarithm is never that of 0
             rank = high - (high - low) * rng.random(high - low)
             if low == 0:  # a law that is log-linear in the counts has no magnitudes below the first object
@@ -394,7 +390,7 @@ class Galaxies(CatalogueKind):
         from scipy.special import ndtr, ndtri  # here: importing it takes a tenth of the start of every other study
 
         n_obj = self.size(point)
-        ra, dec = _sky(point).positions(rng, n_obj)
+        ra, dec = _positions(point, rng, n_obj)
         limits = np.array([-np.inf if point["v_min"] is None else point["v_min"], self.magnitudes(point)[1]])
         # by inversion, which takes one uniform number for each object whatever the limits: draws are comparable
         low, high = ndtr((limits - GALAXY_MEAN_MAG) / GALAXY_SCATTER_MAG)
