@@ -120,7 +120,6 @@ class Floor:
     pos_mas: float = 0.0
     pm_mas_yr: float = 0.0
     brighter_than_mag: float = np.inf
-    source: str = ""
 
 
 @dataclass(frozen=True)
@@ -204,7 +203,7 @@ _GAIA_2001_PM_UAS = (3, 3, 3, 4, 5, 8, 13, 20, 34, 60, 120, 380)
 
 BRIGHT_MAG, BRIGHT_POS_MAS, BRIGHT_PM_MAS_YR = 8.0, 0.037, 0.048
 """Medians of DR3's proper-motion errors at G < 8 are 0.046 to 0.051 mas/yr, where PyGaia's formula says 0.012;
-positions follow from PyGaia's ratio of positions to motions.
+positions follow from PyGaia's ratio of positions to motions, and other releases as T^-1/2 and T^-3/2.
 """
 
 
@@ -217,12 +216,7 @@ def _release(release: Release, months: float) -> Mission:
         faint_limit_mag=21.0,
         source=f"PyGaia, pygaia.errors.astrometric, release {release}; V taken as G; {months:g} months of data",
         valid_mag=(BRIGHT_MAG, 21.0),
-        floor=Floor(
-            BRIGHT_POS_MAS * scale**-0.5,
-            BRIGHT_PM_MAS_YR * scale**-1.5,
-            BRIGHT_MAG,
-            source="medians of DR3 at G < 8, for other releases as T^-1/2 and T^-3/2",
-        ),
+        floor=Floor(BRIGHT_POS_MAS * scale**-0.5, BRIGHT_PM_MAS_YR * scale**-1.5, BRIGHT_MAG),
     )
 
 
@@ -237,7 +231,7 @@ MISSIONS: Mapping[str, Mission] = {
         "fitted curve has 0.18 mas/yr)",
         # from Algol, of Table 2, to the quasars of Table 1; those beyond V = 17 have next to no weight
         valid_mag=(2.1, 20.0),
-        floor=Floor(0.60 * 0.0315, 0.0315, source="the curve at V = 2.1, its brightest object"),
+        floor=Floor(0.60 * 0.0315, 0.0315),  # the curve at V = 2.1, its brightest object
     ),
     "gaia": Mission(
         curve_pos_mas=GAIA_PM.times(1.15),
@@ -246,7 +240,7 @@ MISSIONS: Mapping[str, Mission] = {
         faint_limit_mag=np.inf,
         source="one exponential fitted to the GAIA column of Metz & Geffert 2004, Table 1",
         valid_mag=(12.8, 20.0),
-        floor=Floor(0.003, 0.003, source="ESA's prediction of 2001, constant from G = 12 on (Perryman et al. 2001)"),
+        floor=Floor(0.003, 0.003),  # ESA's prediction of 2001, constant from G = 12 on (Perryman et al. 2001)
     ),
     "gaia-2001": Mission(
         curve_pos_mas=LogLinear(_GAIA_2001_MAG, tuple(s / 1000.0 for s in _GAIA_2001_POS_UAS)),
