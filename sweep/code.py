@@ -37,9 +37,10 @@ from dataclasses import dataclass, field, fields
 from functools import cache, cached_property, lru_cache, partial
 from importlib.machinery import EXTENSION_SUFFIXES, ModuleSpec, PathFinder
 from importlib.metadata import PackageNotFoundError, packages_distributions, version
-from itertools import accumulate, chain, groupby, islice
+from itertools import accumulate, chain
 from operator import attrgetter
 from pathlib import Path
+from textwrap import indent
 from types import CellType, CodeType, FunctionType, MappingProxyType, MethodType, ModuleType
 from typing import Any, ClassVar, SupportsAbs
 from weakref import WeakKeyDictionary
@@ -201,8 +202,7 @@ class Reach:
         self.unnoticed: dict[str, str] = {}
         self.statements: dict[str, str] = {}
         self.modules: dict[str, ModuleType] = {}
-        # The modules that act while a module is imported, or import others, in turn; also itself.
-        self._steps: dict[str, list[str]] = {}
+        self.acting: list[str] = []
         self._texts: dict[str, set[str]] = defaultdict(set)
         # Numbers of functions and classes that have one name, by their ids.
         self._alike: dict[str, dict[int, tuple[int, Any]]] = defaultdict(dict)
@@ -219,9 +219,6 @@ class Reach:
             self._through = through
             add(*what)
         self.unnoticed.pop("", None)  # of wrappers that libraries made
-        # First from the module of the roots; what functions import has no order.
-        modules = [*islice(self._steps, 1), *sorted(self._steps, key=without_package)]
-        self.acting = [name for name, _ in groupby(chain.from_iterable(map(self._executed, modules)))]
         self._keep("order of modules", ", ".join(self.acting) if len(self.acting) > 1 else "")
         texts = {label: ", ".join(sorted(some)) for label, some in self._texts.items()}
         self.parts = {k: v if len(v) <= LONGEST and v.isprintable() else digest_of(v) for k, v in texts.items()}
@@ -368,29 +365,30 @@ class Reach:
             for name in distributions:
                 self._keep(f"package {name}", version_of(name))
         elif isinstance(there := sys.modules.get(module or ""), ModuleType):  # a module may put another object there
-            self._follow(self._acts, there)
+            self._module(there)
         return distributions is None
 
-    def _acts(self, module: ModuleType) -> None:
-        """Add what the user's module does to others while it is imported."""
-        name, file = module.__name__, getattr(module, "__file__", None) or ""
+    def _module(self, module: ModuleType) -> None:
+        """Add what the user's module, and those that it imports, do to others meanwhile, in the order of import."""
+        name, file, acts = module.__name__, getattr(module, "__file__", None) or "", list[Any]()
+        if name in self.modules:
+            return
         self.modules[name] = module
-        steps = self._steps[name] = [name.rpartition(".")[0]]  # its package is imported before
-        self._is_users(steps[0])
+        self._is_users(name.rpartition(".")[0])  # its package is imported before
         if file.endswith(tuple(EXTENSION_SUFFIXES)):
             self._keep(f"file {Path(file).name}", digest_of(Path(file).read_bytes()))
-        tree = tree_of(file, vars(module))
-        acts = [one for one in tree.body if _is_act(one, vars(module))]
-        for one in tree.body:
-            steps += self._imports(_at_import(one)[0], vars(module)) + ([name] if one in acts else [])
-        for one in (one for one in acts if isinstance(one, DEFINITIONS)):  # so that a message can name it
-            self._code(vars(module)[one.name])
-        self._keep(f"module {name}", self._text(acts, vars(module)))
+        for one in tree_of(file, vars(module)).body:
+            self._imports(_at_import(one), vars(module))
+            if _is_act(one, vars(module)):
+                acts.append(one)
+                self.acting += [name] if self.acting[-1:] != [name] else []
+        self._follow(self._acts, acts, name)
 
-    def _executed(self, module: str) -> Iterator[str]:
-        """Yield the modules of which statements act on others while this one is imported, in their order."""
-        for name in self._steps.pop(module, ()):
-            yield from [module] if name == module else self._executed(name)
+    def _acts(self, acts: list[Any], module: str) -> None:
+        names = vars(self.modules[module])
+        for one in (one for one in acts if isinstance(one, DEFINITIONS)):  # so that a message can name it
+            self._code(names[one.name])
+        self._keep(f"module {module}", self._text(acts, names))
 
     def _whole(self, module: ModuleType) -> None:
         for name, value in sorted(vars(module).items()):
@@ -423,11 +421,16 @@ class Reach:
         text += "".join(self._refer(f"{k} of {label}", v, names) for k, v in _closure(function).items())
         if nodes:
             self.places[f"function {label}"] = f"{code.co_filename}, line {nodes[0].lineno}"
+            self._called |= _all_names(code)
             if (name := function.__name__) not in MAKING_CLASSES:
-                imported = [one.name for node in nodes for one in ast.walk(node) if isinstance(one, ast.alias)]
-                others = {*_names_in((*nodes,), code), *code.co_freevars, *imported}
-                changes = [one for node in nodes for one in _changes(node, others, name in MAKING)]
-                called = f"{function.__qualname__.split('.')[-2:][0]}()" if name in MAKING else name
+                inside = [inner for node in nodes for inner in ast.walk(node)]
+                others = {*_names_in((*nodes,), code), *code.co_freevars}
+                others |= {node.name for node in inside if isinstance(node, ast.alias)}
+                changes = {one for node in inside if isinstance(node, ast.Global | ast.Nonlocal) for one in node.names}
+                for one in _changed(inside):  # what makes an object changes only those of others
+                    if one.partition(".")[0] in others or ("." in one and name not in MAKING):
+                        changes.add(one.rpartition(".")[2])
+                called = function.__qualname__.split(".")[-2:][0] if name in MAKING else name
                 self._changes.append((called, {home_of(one, names, names.get(one))[0] for one in changes}))
         elif not function.__name__.startswith("__"):  # what dataclasses make is in their class already
             self.unnoticed[self._through or label] = "function without source"
@@ -464,21 +467,11 @@ class Reach:
         """
         if function is None and self._is_running:  # runs while it is imported, before any root is called
             return ""
-        before = {one for node in nodes for one in _nodes_at_import(node)} if function else set()
-        ran = {one for node in nodes for one in ast.walk(node)} - before
-        self._called |= {one.attr for one in ran if isinstance(one, ast.Attribute)}
-        self._called |= {f"{unparsed(one.func).rpartition('.')[2]}()" for one in ran if isinstance(one, ast.Call)}
-        bound = self._imported(nodes, names)
-        texts = [*map(unparsed, nodes)]
-        code = function.__code__ if function else None
-        scope, text = ChainMap(bound, dict(names)), "".join(texts)
-        wanted = {*bound, *_names_in((*nodes,), code)}
-        # what names in defaults and annotations stand for: what code changes of a default is left out of its value
-        heads = [getattr(one, "args", one) for one in nodes] if function else []
-        wanted |= {one.id for head in heads for one in ast.walk(head) if isinstance(one, ast.Name)}
+        bound, code = self._imported(nodes, names), function.__code__ if function else None
+        scope, text = ChainMap(bound, dict(names)), "".join(map(unparsed, nodes))
         # _C__k, which is __k in the class C
-        private = {name for name in wanted | _all_names(code) if re.match("_[^_].*__", name)}
-        wanted |= private
+        private = {name for name in _all_names(code) if re.match("_[^_].*__", name)}
+        wanted = {*bound, *private, *_names_in((*nodes,), code)}
         for whole in sorted(private.union(*map(_chains, nodes))):
             name, *path = whole.split(".")
             if function and whole in BY_NAME and names.get("__name__") in sys.modules:
@@ -506,7 +499,7 @@ class Reach:
         for one in inside:
             with suppress(Exception):  # raised again by the function where it is called
                 if isinstance(one, IMPORTS):
-                    if True in [self._is_users(module.partition(".")[0]) for module, _ in names_of(one, package)]:
+                    if True in [self._is_users(module.partition(".")[0]) for module, _ in imports_in([one], package)]:
                         exec(unparsed(one), {"__package__": package}, bound)
                 elif isinstance(one, ast.Call) and f".{unparsed(one.func)}".endswith(ends):
                     named = [*one.args, *(each.value for each in one.keywords if each.arg == "name")][0]
@@ -515,31 +508,31 @@ class Reach:
         self._imports(inside, names)
         return bound
 
-    def _imports(self, nodes: Iterable[ast.AST], names: Names) -> list[str]:
-        """Follow the user's modules that some code imports, for what they do meanwhile, and return them."""
-        pairs = [pair for one in nodes if isinstance(one, IMPORTS) for pair in names_of(one, names.get("__package__"))]
-        every = [name for module, alias in pairs for name in (module, f"{module}.{alias.name}")]
-        return [name for name in every if distributions_of(name) is None and self._is_users(name)]
+    def _imports(self, nodes: Iterable[ast.AST], names: Names) -> None:
+        """Follow the user's modules that some code imports, for what they do meanwhile."""
+        for module, alias in imports_in(nodes, names.get("__package__")):
+            for name in (module, f"{module}.{alias.name}"):
+                if distributions_of(name) is None:
+                    self._is_users(name)
 
 
-def names_of(node: ast.Import | ast.ImportFrom, package: str | None) -> list[tuple[str, ast.alias]]:
-    """Return the names that a statement in a package imports, each with the module that it is, or is from."""
-    base = f"{'.' * node.level}{node.module or ''}" if isinstance(node, ast.ImportFrom) else ""
-    with suppress(ImportError):  # raised again where it is executed
-        return [(importlib.util.resolve_name(base or alias.name, package), alias) for alias in node.names]
-    return []
+def imports_in(nodes: Iterable[ast.AST], package: str | None) -> Iterator[tuple[str, ast.alias]]:
+    """Yield the names that some code of a package imports, each with the module that it is, or is from."""
+    for node in (node for node in nodes if isinstance(node, IMPORTS)):
+        base = f"{'.' * node.level}{node.module or ''}" if isinstance(node, ast.ImportFrom) else ""
+        with suppress(ImportError):  # raised again where it is executed
+            yield from [(importlib.util.resolve_name(base or alias.name, package), alias) for alias in node.names]
 
 
 def home_of(name: str, names: Names, value: Any, hops: int = 9) -> tuple[str, Names]:
     """Return the name and the module's names under which a value is bound that a module has, perhaps from others."""
     if hops and distributions_of(names.get("__name__")) is None:
         index = _index(tree_of(names.get("__file__") or "", names))
-        for node in index[ast.ImportFrom]:
-            for module, alias in names_of(node, names.get("__package__")):
-                original = name if alias.name == "*" and not index[name] else alias.name
-                there = getattr(sys.modules.get(module), "__dict__", {})
-                if name == (alias.asname or original) and there.get(original, index) is value:
-                    return home_of(original, there, value, hops - 1)
+        for module, alias in imports_in(index[ast.ImportFrom], names.get("__package__")):
+            original = name if alias.name == "*" and not index[name] else alias.name
+            there = getattr(sys.modules.get(module), "__dict__", {})
+            if name == (alias.asname or original) and there.get(original, index) is value:
+                return home_of(original, there, value, hops - 1)
     return name, names
 
 
@@ -551,24 +544,17 @@ def _closure(function: FunctionType) -> dict[str, Any]:
 
 @lru_cache(maxsize=256)
 def _set_by(kind: type) -> set[str]:
-    """Return the names of attributes that methods of a class set."""
+    """Return the names of attributes that methods of a class change of their object."""
     methods = [one for base in kind.__mro__ for one in vars(base).values() if isinstance(one, FunctionType)]
-    targets = _changed(one for method in methods for node in definitions_of(method) for one in ast.walk(node))
-    return {one.attr for one in targets if isinstance(one, ast.Attribute)}
+    nodes = [(one.__code__.co_varnames[:1], node) for one in methods for node in definitions_of(one)]
+    texts = [text for itself, node in nodes for text in _changed(ast.walk(node)) if text.partition(".")[0] in itself]
+    return {text.rpartition(".")[2] for text in texts}
 
 
-def _contents(value: Any, depth: int = 5) -> str:
-    """Return what tells a value from others, functions by what is in their closures, objects by their attributes."""
-    if type(value) in PLAIN or not depth:
-        return repr(value) if depth else ""
-    inside: dict[str, Any] = {}
-    if type(value) is FunctionType:
-        inside = _closure(value)
-    elif distributions_of((value if isinstance(value, type) else type(value)).__module__) is None:
-        inside = dict(getattr(value, "__dict__", {}))
-    more = value if type(value) is tuple else (type(value), *getattr(value, "__bases__", ()))
-    forms = [_contents(one, depth - 1) for one in (*map(inside.get, sorted(inside)), *more)]
-    return f"{getattr(value, '__qualname__', '')} {forms}"
+def _contents(value: Any) -> str:
+    """Return what tells a value from others: functions by what is in their closures, objects by their attributes."""
+    inside = _closure(value) if type(value) is FunctionType else getattr(value, "__dict__", {})
+    return re.sub(r" at 0x\w+", "", f"{value!r} {inside!r}")
 
 
 def tree_of(filename: str, names: Names) -> ast.Module:
@@ -643,14 +629,15 @@ def _names_in(nodes: tuple[ast.AST, ...], code: CodeType | None) -> frozenset[st
     """Return the names that statements of a module look up in it, or functions of which this is the compiled code; what
     a class looks up it may have bound itself.
     """
-    names = set[str]()
+    text = "\n".join(map(unparsed, nodes))
     if code is None:
-        top = symtable.symtable("\n".join(map(unparsed, nodes)), "", "exec")
-        names |= {one.get_name() for one in top.get_symbols() if one.is_referenced()}
+        top = symtable.symtable(text, "", "exec")
+        names = {one.get_name() for one in top.get_symbols() if one.is_referenced()}
     else:
-        outer: Any = ast.parse(f"def outer({', '.join(code.co_freevars)}): pass")
-        outer.body[0].body += [ast.Expr(one) if isinstance(one, ast.expr) else one for one in nodes]  # lambdas
-        (top,) = symtable.symtable(ast.unparse(outer), "", "exec").get_children()
+        inner = f"def around({', '.join(code.co_freevars)}):\n pass\n{indent(text, ' ')}"
+        (top,) = symtable.symtable(inner, "", "exec").get_children()
+        # also in defaults and annotations: what code changes of a default is left out of its value
+        names = {one.id for node in nodes for one in ast.walk(getattr(node, "args", node)) if isinstance(one, ast.Name)}
     tables = [*top.get_children()]
     for table in tables:  # which grows meanwhile
         names |= {one.get_name() for one in table.get_symbols() if one.is_global()}
@@ -692,28 +679,19 @@ def _chains(node: ast.AST) -> frozenset[str]:
     return frozenset(chain for chain in chains if re.fullmatch(r"[\w.]+", chain))
 
 
-def _changes(node: ast.AST, others: Collection[str], is_making: bool) -> Iterator[str]:
-    """Yield the names, of others or of attributes, that a function changes: those that it declares to be of others, and
-    those of which it sets an attribute or an item, or calls a method that changes its object; what makes an object
-    changes only those of others.
+def _changed(nodes: Iterable[ast.AST]) -> Iterator[str]:
+    """Yield what some code changes, as it names it: that of which it sets an attribute (``a.b``) or an item, or calls a
+    method that changes its object (``a``).
     """
-    for one in ast.walk(node):
-        if isinstance(one, ast.Global | ast.Nonlocal):
-            yield from one.names
-    for target in _changed(ast.walk(node)):
-        whole = target
+    for one in nodes:
+        whole: ast.AST = one
+        if isinstance(one, ast.Call) and isinstance(one.func, ast.Attribute) and one.func.attr in CHANGING:
+            whole = one.func.value
+        elif not isinstance(one, ast.Attribute | ast.Subscript) or isinstance(one.ctx, ast.Load):
+            continue
         while isinstance(whole, ast.Subscript):
             whole = whole.value
-        if unparsed(whole).partition(".")[0] in others or (isinstance(whole, ast.Attribute) and not is_making):
-            yield str(getattr(whole, "attr", getattr(whole, "id", "")))
-
-
-def _changed(nodes: Iterable[ast.AST]) -> Iterator[ast.expr]:
-    for one in nodes:
-        if isinstance(one, ast.Attribute | ast.Subscript) and not isinstance(one.ctx, ast.Load):
-            yield one
-        elif isinstance(one, ast.Call) and isinstance(one.func, ast.Attribute) and one.func.attr in CHANGING:
-            yield one.func.value
+        yield unparsed(whole)
 
 
 def _is_act(statement: ast.stmt, names: Names) -> bool:
@@ -721,34 +699,29 @@ def _is_act(statement: ast.stmt, names: Names) -> bool:
     calls what may, or defines what a decorator gives to them.  A script goes on after a run: only what it changes of
     modules, and what it has defined, is more than its own affair.
     """
-    _, definitions, changed, calls = _at_import(statement)
+    nodes = _at_import(statement)
+    if any(isinstance(one, DEFINITIONS) and _is_registered(one, names) for one in nodes):
+        return True
     if names.get("__name__") == "__main__":
-        inside = [one for one in changed if not isinstance(one, ast.Name)]  # functions of modules are no methods
-        roots = [unparsed(one).replace("[", ".").partition(".")[0] for one in inside]
-        changed, calls = [], any(isinstance(names.get(root), ModuleType) for root in roots)
-    return bool(changed or calls) or any(_is_registered(one, names) for one in definitions)
+        roots = [
+            text.partition(".")[0] for text in _changed(nodes) if "." in text
+        ]  # functions of modules are no methods
+        return any(isinstance(names.get(root), ModuleType) for root in roots)
+    calls = [one for one in nodes if isinstance(one, ast.Expr) and not isinstance(one.value, ast.Constant)]
+    return bool(calls or [*_changed(nodes)])
 
 
 @lru_cache(maxsize=4096)
-def _at_import(statement: ast.stmt) -> tuple[list[ast.AST], list[Any], list[ast.expr], bool]:
-    """Return what `_nodes_at_import` yields, the definitions in it, what it changes, and whether it calls anything."""
-    nodes = [*_nodes_at_import(statement)]
-    definitions = [one for one in nodes if isinstance(one, DEFINITIONS)]
-    calls = any(isinstance(one, ast.Expr) and not isinstance(one.value, ast.Constant) for one in nodes)
-    return nodes, definitions, [*_changed(nodes)], calls
-
-
-def _nodes_at_import(node: ast.AST) -> Iterator[ast.AST]:
-    """Yield what is executed of some code while its module is imported: not the bodies of functions, and not what only
+def _at_import(statement: ast.AST) -> Sequence[ast.AST]:
+    """Return what is executed of some code while its module is imported: not the bodies of functions, and not what only
     a script does or a type checker reads.
     """
-    if not isinstance(node, ast.If) or not re.search("__name__|TYPE_CHECKING", unparsed(node.test)):
-        yield node
-        runs = ast.iter_child_nodes(node)
-        if isinstance(node, Function):
-            runs = chain(getattr(node, "decorator_list", ()), [node.args])
-        for one in runs:
-            yield from _nodes_at_import(one)
+    if isinstance(statement, ast.If) and re.search("__name__|TYPE_CHECKING", unparsed(statement.test)):
+        return []
+    runs = ast.iter_child_nodes(statement)
+    if isinstance(statement, Function):
+        runs = chain(getattr(statement, "decorator_list", ()), [statement.args])
+    return [statement, *chain.from_iterable(map(_at_import, runs))]
 
 
 def _is_registered(node: Any, names: Names) -> bool:
@@ -760,11 +733,11 @@ def _is_registered(node: Any, names: Names) -> bool:
     is_kept = isinstance(value, FunctionType | type) and value.__name__ == node.name
     if not is_kept or any(mark not in unparsed(node) for mark in vars(value).keys() - PLAIN_CLASS):
         return False
-    bases = value.__mro__[1:] if isinstance(value, type) else ()
-    if any("__init_subclass__" in vars(base) and distributions_of(base.__module__) is None for base in bases):
+    hooked = [one for one in getattr(value, "__mro__", ())[1:] if "__init_subclass__" in vars(one)]
+    if any(distributions_of(one.__module__) is None for one in hooked):
         return True
-    for whole in {whole for one in node.decorator_list for whole in _chains(getattr(one, "func", one))}:
-        root = names.get(name := whole.partition(".")[0])
+    for name in {re.split(r"\W", unparsed(one))[0] for one in node.decorator_list}:
+        root = names.get(name)
         home = vars(root) if isinstance(root, ModuleType) else home_of(name, names, root)[1]
         distributions = distributions_of(home.get("__name__"))
         if distributions or (distributions is None and isinstance(root, ModuleType | FunctionType | type)):
@@ -844,10 +817,9 @@ def _imported(name: str, file: str, content: bytes) -> Iterator[str]:
     nodes, package = list[ast.AST](), name if file.endswith("__init__.py") else name.rpartition(".")[0]
     with suppress(SyntaxError, ValueError, RecursionError):  # reported when the file is executed
         nodes = list(ast.walk(ast.parse(content))) if file.endswith(".py") else []
-    for node in (node for node in nodes if isinstance(node, IMPORTS)):
-        for module, alias in names_of(node, f".{package}"):
-            parts = f"{module}.{alias.name}".strip(".").split(".")
-            yield from accumulate(parts, "{}.{}".format) if parts[0] != OURS else ()
+    for module, alias in imports_in(nodes, f".{package}"):
+        parts = f"{module}.{alias.name}".strip(".").split(".")
+        yield from accumulate(parts, "{}.{}".format) if parts[0] != OURS else ()
 
 
 class Live:
@@ -1000,8 +972,7 @@ def _importable(function: Callable[..., Any] | Experiment) -> str | None:
 
 def _remember(code: Any) -> Any:
     parts_of.cache_clear()
-    _codes[code.path, None] = code
-    provide(code)
+    _codes[code.path, None] = _codes[code.path, code.digest] = code
     return code
 
 
