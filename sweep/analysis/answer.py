@@ -123,8 +123,7 @@ def _sentences(part: xr.Dataset, variable: str, unit: str, decided: str | None) 
         yield "It is a finite number at no point that is done."
         return
     if formatting.is_truth(array):
-        points = formatting.counted(int(known.sum()), "point")
-        yield f"It is True at {int(values[known].sum()):,} of {points}."
+        yield f"It is True at {int(values[known].sum()):,} of {formatting.counted(int(known.sum()), 'point')}."
         yield from filter(None, [decided])
         return
     errors = np.zeros(values.shape) if error is None else error.transpose(*axes, *components).values
@@ -141,8 +140,7 @@ def _sentences(part: xr.Dataset, variable: str, unit: str, decided: str | None) 
         yield f"{sentence[0].upper()}{sentence[1:]}."
     if (prediction := quantity.prediction_name(part, variable)) in part:
         predicted = part[prediction].transpose(*axes).values
-        whole_name, errors_alone = (f"{variable}_{suffix}" for suffix in quantity.PREDICTION_SUFFIXES)
-        without_bias = whole_name not in part and errors_alone in part and "bias" in part
+        without_bias = prediction == f"{variable}_{quantity.PREDICTION_SUFFIXES[1]}" and "bias" in part
         yield from _agreement(values, errors, predicted, ", which leaves a bias out" if without_bias else "")
     if infinite := int(((status == Status.DONE) & ~known).sum()):
         yield f"It is not a finite number at {formatting.counted(infinite, 'point')}."
