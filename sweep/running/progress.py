@@ -291,12 +291,12 @@ class Eta:
 
 @dataclass(frozen=True)
 class Taken:
-    """What a task did, what more its results call for, which points it ended, and by their index why some failed, and
-    which are begun without a failure.
+    """What a task did, the cost of what more its results call for, which points it ended, and by their index why some
+    failed, and which are begun without a failure.
     """
 
     done: PlanSize
-    more: PlanSize
+    more: float
     ended: tuple[GridPoint, ...]
     failed: Mapping[int, Failure]
     begun: Set[int] = frozenset()
@@ -374,7 +374,7 @@ class TerminalProgress(Progress):
             SENTENCES.warning(sentence)
         seconds, cold = float(result.seconds.sum()), float(result.seconds[0]) if result.cold else 0.0
         self._eta.take(time.monotonic(), taken.done.cost, seconds, cold, len(result.seconds))
-        self._work += taken.more.cost
+        self._work += taken.more
         self._done += taken.done
         self._busy += seconds
         points = [point for work in works for point in work.points]

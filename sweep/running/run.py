@@ -177,11 +177,11 @@ def with_stored(store: Store, study: Study, only: bool = False) -> tuple[Study, 
     return study, whole, wanted if whole.sampling is stored.sampling else wanted | digests
 
 
-def require_known(study: Study, points: Callable[[Grid], Iterable[GridPoint]]) -> None:
+def require_known(study: Study, points: Iterable[GridPoint]) -> None:
     """Raise SweepError for a point that is to be computed with an object that only its script can make again."""
     if all(named.value is not Unknown for parameter in study.experiment.parameters for named in parameter.defined):
         return
-    for name, value in (pair for point in points(Grid(study)) for pair in point.parameters.items()):
+    for name, value in (pair for point in points for pair in point.parameters.items()):
         if isinstance(value, Named) and value.value is Unknown:
             why = f"{name} = {shown(value.name)} is the label of an object that only its script can make again"
             raise SweepError(f"{why}; run that, or leave the earlier points out by --only (only=True)")
@@ -393,7 +393,7 @@ class Writer:
         added, failed = list[Work](), dict[int, Failure]()
         with self._postponed(), self._lock:
             failures, rows = self._as_rows(result)
-            good = [row for row in range(len(points)) if row not in failures]
+            good = {row: one for row, one in enumerate(points) if row not in failures}
             there = {point.index: point for point, _ in points if accumulator.is_missing(point.index)}
             for row in sorted(failures):
                 point, block = points[row]
@@ -403,23 +403,23 @@ class Writer:
             if not failures and accumulator.takes_whole():
                 accumulator.add_whole([point.index for point, _ in points], rows, result.seconds)
             else:
-                for place, row in enumerate(good):
-                    (point, block), kept = points[row], result.outcomes[row].kept
+                for place, (row, (point, block)) in enumerate(good.items()):
+                    kept = result.outcomes[row].kept
                     more = accumulator.add(point, block, rows[place : place + 1], kept, float(result.seconds[row]))
                     added += [self.plan.work((point,), one) for one in more]
             ended = tuple(point for index, point in there.items() if not accumulator.is_missing(index))
             failed |= self._refuse_results([point.index for point in ended if accumulator.is_done(point.index)])
             self.pending.add(added)
             samples = [kept for row in good if (kept := result.outcomes[row].kept) is not None]
-            keys = [ledger_key(point.digest, block) for point, block in map(points.__getitem__, good)]
-            self.store.append(keys, rows, samples, result.seconds[good])
+            keys = [ledger_key(point.digest, block) for point, block in good.values()]
+            self.store.append(keys, rows, samples, result.seconds[[*good]])
             self.store.clear_failures(point.digest for point in ended if point.index not in failed)
             if time.monotonic() - self._flushed > TUNED.flush_every_s:
                 self.flush()
-        realisations = sum(points[row][1].realisations for row in good)
-        done = replace(size_of(works, len(ended)), realisations=realisations)
-        begun = {point.index for point, _ in map(points.__getitem__, good) if accumulator.is_missing(point.index)}
-        return Taken(done, size_of(added, 0), ended, failed, begun)
+        realisations = sum(block.realisations for _, block in good.values())
+        done = PlanSize(len(ended), len(points), realisations, sum(work.cost for work in works))
+        begun = {point.index for point, _ in good.values() if accumulator.is_missing(point.index)}
+        return Taken(done, sum(work.cost for work in added), ended, failed, begun)
 
     def write_when_due(self) -> None:
         """Write the labelled dataset if the last one is some time ago."""
@@ -602,13 +602,6 @@ class Writer:
         self.store.fail(point.digest, {"place": place, **vars(failure), **where, "host": host(), "when": now()})
 
 
-def size_of(works: Sequence[Work], points: int) -> PlanSize:
-    """Return the counts of works that finish so many points."""
-    blocks = sum(len(work.points) for work in works)
-    realisations = sum(len(work.points) * work.block.realisations for work in works)
-    return PlanSize(points, blocks, realisations, sum(work.cost for work in works))
-
-
 # What follows why a run was ended.
 GOES_ON = (
     "what was done is kept; the same command goes on from there, and `sweep run --retry` tries failed points again; "
@@ -680,7 +673,7 @@ class Session:
         records = again_where(store, whole, beside.redo) if beside.redo else {}
         check_code(store, study, records, accept_code)
         if records:
-            require_known(whole, lambda grid: (p for p in grid.points() if p.digest in records))
+            require_known(whole, (point for point in Grid(whole).points() if point.digest in records))
         store.again(records)
         again: Set[bytes] = records.keys()
         if store.rows and study.experiment.undeclared:  # without rows it is open again what results are like
@@ -700,7 +693,7 @@ class Session:
             failed = wanted is not None and not store.failures.keys().isdisjoint(wanted)
             session.is_left_alone = is_stored and not failed and not accumulator.survey.pending.blocks
             missing = accumulator.missing_points()
-            require_known(whole, lambda grid: (p for p in grid.points(missing) if not wanted or p.digest in wanted))
+            require_known(whole, (p for p in plan.grid.points(missing) if not wanted or p.digest in wanted))
         return session
 
     @property
@@ -845,9 +838,7 @@ def plan_report(study: Study, store: Where, workers: int | None = None, accept_c
     most = survey.pending.blocks if tasks is None else tasks
     cores = max(1, min(workers or available_cores(), available_cores(), most))
     realisations = {"realisations": survey.total.realisations, "realisations_pending": survey.pending.realisations}
-    seconds = {}
-    if study.experiment.cost_unit:
-        seconds["seconds"] = round(survey.pending.cost / (_normals_per_second() * cores), 1)
+    seconds = round(survey.pending.cost / (_normals_per_second() * cores), 1) if study.experiment.cost_unit else None
     return {
         "title": study.title,
         "grid": " x ".join(f"{name} {n}" for name, n in zip(grid.dimensions, grid.shape, strict=True)) or "one point",
@@ -860,7 +851,7 @@ def plan_report(study: Study, store: Where, workers: int | None = None, accept_c
         "result_mb": round(result_mb, 3),
         "ledger_mb": round(ledger_mb, 3),
         "memory_mb": round(result_mb + ledger_mb, 3),
-        **seconds,
+        **({} if seconds is None else {"seconds": seconds}),
         "cores": cores,
         "store": str(store),
         "warnings": list(grid.warnings),
