@@ -618,12 +618,13 @@ def _spin_by_bin(spin: str, sign: str, stars: Astrometry) -> tuple[Block, Array]
         raise SweepError(f"sign {said!r} in its metadata: must be {' or '.join(SIGNS)}", spin)
     names = [name[:-4] for name in read.names if name.endswith("_min") and f"{name[:-4]}_max" in read.names]
     axes = [f"omega_{axis}" for axis in "xyz"]
-    if len(names) != 1 or any(name not in read.names or read.table[name].unit is None for name in axes):
+    units = [unit for name in axes if name in read.names and (unit := read.table[name].unit) is not None]
+    if len(names) != 1 or len(units) < len(axes) or not all(unit.is_equivalent("mas/yr") for unit in units):
         needs = f"one pair of columns NAME_min, NAME_max, and {', '.join(axes)} with units, uas/yr or mas/yr"
         raise SweepError(f"a table of spins has {needs}; here {', '.join(read.names)}", spin)
     read.table.sort(f"{names[0]}_min")
     low, high = (read.numbers(f"{names[0]}_{end}") for end in ("min", "max"))
-    vectors = np.array([read.numbers(name) * read.table[name].unit.to("mas/yr") for name in axes]).T
+    vectors = np.array([read.numbers(name) * unit.to("mas/yr") for name, unit in zip(axes, units, strict=True)]).T
     read.check(~np.isfinite(vectors).all(axis=1), f"a bin of {names[0]} without a spin", low)
     read.finish()
     if np.any(low[1:] != high[:-1]) or np.any(high <= low):

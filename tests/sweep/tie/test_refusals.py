@@ -54,7 +54,7 @@ REFUSED = [
     ("those of dr3, and the epochs are of dr4", DR3 | DR4, {}, SHIFTED),
     ("no column 'ecl_lat'", DR3 | {"ecl_lat": None}, {}, SHIFTED),
     ("spins of dr3, and the satellite's epochs are those of dr4", DR4, {}, {"known_spin": "edr3-spin"}),
-    ("omega_x, omega_y, omega_z with units", {}, {}, {"known_spin": SPIN}),
+    ("omega_x, omega_y, omega_z with units", {}, {}, {"known_spin": SPIN | {"omega_x": Column([1.0], unit="mas")}}),
     ("mag without a spin in row 1", {}, {}, {"known_spin": SPIN | BLANK}),
     ("Say it: units ra = deg", {}, {"ra": ["225:30:01.5"] * N, "ra_error": Column(at(0, 0), unit="mas")}, {}),
     *(("': .* no side", {}, {}, {"missions": {"satellite": "r"}}), ("no option degrees", {}, {}, {"degrees": 3})),
