@@ -140,13 +140,9 @@ def status_report(store: Where) -> dict[str, Any]:
         note = {"note": UNFINISHED}
     if points.is_adaptive and not note and not complete:
         note = {"note": "as of the last writing: only the experiment can say how many realisations are needed"}
-    random: dict[str, int] = {}
-    if not study.experiment.deterministic:
-        wanted = np.where(status == DONE, 0, study.sampling.n_sim * study.sampling.n_cat) * (status != EXCLUDED)
-        random = {
-            "realisations": int(np.maximum(realisations, wanted).sum()),
-            "realisations_done": int(realisations.sum()),
-        }
+    least = study.sampling.n_sim * study.sampling.n_cat
+    wanted = np.where(status == DONE, 0, grid.with_repeats(np.where(points.wanted < math.inf, points.wanted, least)))
+    random = {"realisations": int(np.maximum(realisations, wanted).sum()), "realisations_done": int(realisations.sum())}
     return {
         "title": attributes["title"],
         "part": None if study.part is None else str(study.part),
@@ -158,7 +154,7 @@ def status_report(store: Where) -> dict[str, Any]:
         "last_written": attributes.get("finished"),
         "points": {code.word: n for code, n in count_status(status).items()},
         "blocks": len(ledger.rows),
-        **random,
+        **({} if study.experiment.deterministic else random),
         **({"lost_parts": attributes[LOST]} if LOST in attributes else {}),
         "rounds": [str(one) for one in rounds_of(attributes)],
         "warnings": json.loads(attributes.get("warnings", "[]")),
