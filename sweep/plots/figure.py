@@ -243,9 +243,9 @@ def _others(dataset: xr.Dataset, variable: str, along: Sequence[str]) -> list[st
     return sorted(left, key=lambda d: -_separation(array, d))
 
 
-def _too_many(dataset: xr.Dataset, dimensions: Sequence[str]) -> SweepError:
-    sizes = ", ".join(f"{d} ({dataset.sizes[d]})" for d in dimensions)
-    return SweepError(f"{sizes}: too many for one picture; fix some with --at AXIS=VALUE")
+def _too_many(dataset: xr.Dataset, dimensions: Sequence[str], variables: Sequence[str] = ()) -> SweepError:
+    sizes = [f"{d} ({dataset.sizes[d]})" for d in dimensions] + ([f"{len(variables)} variables"] if variables else [])
+    return SweepError(f"{', '.join(sizes)}: too many for one picture; fix some with --at AXIS=VALUE, or --variable")
 
 
 def _separation(array: xr.DataArray, dimension: str) -> float:
@@ -269,7 +269,7 @@ def draw_panels(
         raise SweepError("several variables leave room for one dimension of panels: fix others by --at AXIS=VALUE")
     panels = list(_panels(dataset, variables, dimensions, far))
     if len(panels) > MOST_PANELS:
-        raise _too_many(dataset, dimensions[::-1])
+        raise _too_many(dataset, dimensions[::-1], variables)
     wanted = counts[-1] if len(counts) == 2 else len(panels)
     down = -(-len(panels) // min(style.most_columns(wanted), MOST_ACROSS))  # rounded up
     across = -(-len(panels) // down)
