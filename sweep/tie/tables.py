@@ -700,7 +700,7 @@ def read_observations(path: Path) -> tuple[Any, list[str]]:
         for name in {"source_id", "transit_id"} & set(table.colnames):
             frame[name] = read.text(name)
         several = [name for name in units if frame[name].dtype == object]
-        frame = frame.explode(several).astype(dict.fromkeys(units, np.float64))
+        frame = (frame.explode(several) if several else frame).astype(dict.fromkeys(units, np.float64))
         for name, (unit, used, *_) in units.items():
             frame[name] *= Unit(table[name].unit or unit).to(used)
     frame["used_by_agis_al"] = frame["used_by_agis_al"].isin([1.0, ord("T")])  # the letter in FITS
