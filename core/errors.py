@@ -24,7 +24,7 @@ PROBES = 100
 class ErrorModel:
     """The errors of one side: each is normal around zero, and those of different objects are independent.
 
-    They are ``scale`` times those of the model.  A ``floor`` (mas, mas/yr) is an independent error of each coordinate
+    They are ``scale`` times those that `at` returns.  A ``floor`` (mas, mas/yr) is an independent error of each coordinate
     of position and of proper motion, which is added in quadrature.
     """
 
@@ -60,13 +60,13 @@ class ErrorModel:
         return True
 
     def at(self, v_mag: Array) -> tuple[Array | float, Array | float]:
-        """Return the scaled errors of a position (mas) and a proper motion (mas/yr) per coordinate at magnitudes."""
+        """Return the errors of a position (mas) and a proper motion (mas/yr) per coordinate at magnitudes."""
         raise NotImplementedError
 
     def without_floor(self, catalogue: Catalogue) -> Array:
         """Return the scaled errors of (ra*, dec, pmra, pmdec) of each object in rad and rad/yr; shape (N, 4)."""
         # broadcast: a model may give one number for all objects
-        position, motion = (np.broadcast_to(sigma, len(catalogue)) for sigma in self.at(catalogue.v_mag))
+        position, motion = (np.broadcast_to(self.scale * sigma, len(catalogue)) for sigma in self.at(catalogue.v_mag))
         return MAS * np.stack([position, position, motion, motion], axis=1)
 
     def standard_errors(self, catalogue: Catalogue) -> Array:
@@ -81,7 +81,7 @@ class ErrorModel:
     def at_limit(self, point: Point, catalogue: CatalogueKind) -> tuple[float, float]:
         """Return the errors (mas, mas/yr) of an object at the faint limit of a catalogue that is drawn."""
         position, motion = self.at_magnitude(catalogue.magnitudes(point)[1] if self.by_magnitude else math.nan)
-        return math.hypot(position, self.floor[0]), math.hypot(motion, self.floor[1])
+        return math.hypot(self.scale * position, self.floor[0]), math.hypot(self.scale * motion, self.floor[1])
 
     def at_magnitude(self, v_mag: float) -> tuple[float, float]:
         """Return what `at` gives for one magnitude."""
@@ -123,7 +123,7 @@ class NormalErrors(ErrorModel):
 
     def at(self, v_mag: Array) -> tuple[float, float]:
         """Return the sigmas, whatever the magnitude."""
-        return self.scale * self.position_mas, self.scale * self.motion_mas_yr
+        return self.position_mas, self.motion_mas_yr
 
     def has_errors(self, objects: Catalogue | None) -> bool:
         """Return whether a sigma, with its scale, or a floor is above zero."""
@@ -168,12 +168,11 @@ class MagnitudeErrors(ErrorModel):
         """Return the curve at each magnitude."""
         sigmas = self.mission.sigma_pos_mas, self.mission.sigma_pm_mas_yr
         position, motion = (sigma(v_mag, self.mission_length_yr) for sigma in sigmas)
-        return self.scale * position, self.scale * motion
+        return position, motion
 
     def at_magnitude(self, v_mag: float) -> tuple[float, float]:
         """Return the curve at one magnitude, computed once for all scales: a grid has a million points."""
-        position, motion = _at_magnitude(self.mission, self.mission_length_yr, v_mag)
-        return self.scale * position, self.scale * motion
+        return _at_magnitude(self.mission, self.mission_length_yr, v_mag)
 
     def problem(self, point: Point, side: str, catalogue: CatalogueKind) -> str | None:
         """Return a problem if magnitudes are missing or beyond the end of the curve; raises CurveError where a user's

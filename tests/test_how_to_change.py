@@ -76,9 +76,9 @@ LINK = """
 import numpy as np
 from linksweep.core.experiment import evaluate, link
 point = link.defaults() | {"n_obj": 30, CHANGES}
-assert link.check(point) is None, link.check(point)
-sums = evaluate([point], 50, np.random.default_rng(1), np.random.default_rng(2))
-assert np.isfinite(link.summarise(sums, np.array([50.0]), np.array([1.0]))["sigma_spin"][0])
+sums = evaluate([point, point | {"error_scale": 2.0}], 50, np.random.default_rng(1), np.random.default_rng(2))
+once, twice = link.summarise(sums, np.array([50.0, 50.0]), np.array([1.0, 1.0]))["sigma_spin_predicted"]
+assert 0.0 < once < np.inf and np.isclose(twice, 2.0 * once)
 """
 TIE = """
 import linksweep
