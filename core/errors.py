@@ -24,8 +24,8 @@ PROBES = 100
 class ErrorModel:
     """The errors of one side: each is normal around zero, and those of different objects are independent.
 
-    They are ``scale`` times those that `at` returns.  A ``floor`` (mas, mas/yr) is an independent error of each coordinate
-    of position and of proper motion, which is added in quadrature.
+    They are ``scale`` times those that `at` returns.  A ``floor`` (mas, mas/yr) is an independent error of each
+    coordinate of position and of proper motion, which is added in quadrature.
     """
 
     by_magnitude: ClassVar[bool] = False
