@@ -363,7 +363,8 @@ def study_of_attributes(attributes: Mapping[str, Any], where: str, code: Code) -
     if overrides:  # which of its parameters they changed is not known
         options.by_place.update({(table, key): "" for table in ("axes", "fixed") for key in document.get(table, {})})
     study = _Reader(document, text, Path(where), where, options, code).study()
-    return replace(study, name=name, overrides=(overrides,) if overrides else (), part=part)
+    of_function = {"title": attributes["title"], "description": attributes.get("description", "")}  # of its docstring
+    return replace(study, name=name, overrides=(overrides,) if overrides else (), part=part, **of_function)
 
 
 def study_of_function(function: Mentioned | str, **options: Any) -> Study:
