@@ -184,8 +184,8 @@ class Values:
                 raise ValueError("an axis needs at least one value")
             values = self.several(place, name, raw_values)
             counts = Counter((type(value), value) for value in values or ())
-            if repeated := [shown(value) for (_, value), n in counts.items() if n > 1]:
-                self.problems.add(place, f"duplicate values {first_of(repeated, 10)}")
+            if repeated := dict.fromkeys(shown(value) for value in values or () if counts[type(value), value] > 1):
+                self.problems.add(place, f"duplicate values {first_of([*repeated], 10)}")
             return values
         return None
 

@@ -473,7 +473,7 @@ def _check_hours(name: str, values: Array, size: float) -> None:
     else:
         return
     said = f'column {name!r} has no unit and {doubt}  Say it: units = {{ ra = "deg" }} in a study'
-    raise ValueError(f'{said}, --unit ra=deg with a command, or "hourangle"')
+    raise ValueError(f'{said}, --unit [TABLE:]ra=deg with a command, or "hourangle"')
 
 
 # ---- rows by a condition

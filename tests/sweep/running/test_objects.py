@@ -49,7 +49,7 @@ def run(store, **given):
 
 UNTOLD = [({"thing": [one]}, "has no label of its own") for one in (Net(1), lambda: 1)]
 UNTOLD += [({"thing": {"one": (x for x in ())}}, "no canonical form"), ({"thing": [(1,), "(1,)"]}, "two values have")]
-UNTOLD += [({"thing": {"one": Net(1), "two": Net(1)}}, "duplicate values 'one'")]
+UNTOLD += [({"thing": {"one": Net(1), "two": Net(1)}}, "duplicate values 'one', 'two'")]
 UNTOLD += [({"thing": [1], "x": [None]}, "x = None: must be a number")]
 UNTOLD += [({"thing": numbers}, str(numbers[0])) for numbers in ([2**53 + 1, 0.5], [2, 2.0], [1, 1.0000000000000002])]
 LABELS = {"RED": Colour.RED, "sin": np.sin, "(1, 'a')": (1, "a")}
