@@ -789,10 +789,10 @@ def _parameters(dataset: xr.Dataset, over: Sequence[str], most: int) -> list[str
 
 
 def sampled(dataset: xr.Dataset) -> str | None:
-    """Return the variable with the kept samples of several components; None if there is none."""
+    """Return the variable with the kept samples of several components along one dimension; None if there is none."""
     known = {"sample", *dataset["status"].dims}
-    names = [str(n) for n, v in dataset.data_vars.items() if "sample" in v.dims and set(v.dims) - known]
-    return names[0] if names else None
+    kept = {str(name): array for name, array in dataset.data_vars.items() if "sample" in array.dims}
+    return next((n for n, v in kept.items() if [v.sizes[d] > 1 for d in v.dims if d not in known] == [True]), None)
 
 
 def _scatter_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
@@ -809,7 +809,8 @@ def _scatter_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[st
         left = ", ".join(f"{d} ({dataset.sizes[d]})" for d in dataset["status"].dims)
         raise SweepError(f"a scatter is of one point; choose it with --at AXIS=VALUE: {left}")
     dimension = next(str(d) for d in dataset[variable].dims if d != "sample")
-    known = dataset[dimension].values.tolist()
+    known = [str(name) for name in dataset[dimension].values]  # or an index
+    dataset = dataset.assign_coords({dimension: known})
     if unknown := [name for name in over if name not in known]:
         raise SweepError(f"{shown(unknown[0])} is no component of {variable}{suggest(unknown[0], known)}")
     if over and len(set(over)) != 2:
@@ -845,8 +846,7 @@ def _scatter_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[st
         axes.set(**{f"{which}label": style.label(dataset[variable], name, unit)})
         text = formatting.with_error(spread, spread / np.sqrt(2 * n))
         words.append(rf"$\sigma$({style.symbol(name)}) = {text} {formatting.written(unit)}")
-    words.append(rf"correlation ${covariance[0, 1] / np.prod(sigma):+.2f}$")
-    style.legend(figure, title="\n".join(words))
+    style.legend(figure, title="\n".join([*words, rf"correlation ${covariance[0, 1] / np.prod(sigma):+.2f}$"]))
     return figure
 
 

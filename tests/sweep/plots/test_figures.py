@@ -101,7 +101,7 @@ def test_a_scatter_has_all_estimates_ellipses_and_truth(dataset_of):
     dataset = dataset_of("scatter")
     [axes] = linksweep.plot(dataset).axes
     x, y = (dataset["estimate"].squeeze("model").sel(component=name).values for name in ("omega_x", "omega_y"))
-    assert np.array_equal(axes.lines[0].get_xydata().T, [x, y])
+    assert (np.array_equal(axes.lines[0].get_xydata().T, [x, y]), axes.get_aspect()) == (True, 1.0)
     truth = next(line for line in axes.lines if line.get_label() == "truth")
     assert (truth.get_xdata()[0], truth.get_ydata()[0]) == pytest.approx((1.0, 1.0), abs=1e-9)  # of the study
     offset = np.stack([x - x.mean(), y - y.mean()])
@@ -110,7 +110,7 @@ def test_a_scatter_has_all_estimates_ellipses_and_truth(dataset_of):
         inside = ellipse.contains_points(axes.transData.transform(np.stack([x, y], axis=1)))
         assert inside.mean() == pytest.approx(share, abs=4.0 * np.sqrt(share * (1 - share) / len(x)))
         assert inside.sum() == pytest.approx((distance < -2.0 * np.log(1.0 - share)).sum(), abs=5)
-    assert axes.get_aspect() == 1.0
+    assert linksweep.plot(dataset.drop_vars("component"), over=["0", "1"]).axes[0].get_xlabel() == "0 [mas]"
     [axes] = linksweep.plot(dataset, over=["epsilon_x", "omega_z"]).axes
     assert (axes.get_xlabel(), axes.get_ylabel()) == (r"$\epsilon_{x}$ [mas]", r"$\omega_{z}$ [mas/yr]")
     with pytest.raises(linksweep.SweepError, match="'omega' is no component of estimate"):
