@@ -853,7 +853,7 @@ def plain_points(points: Any) -> dict[str, Any]:
         table = {str(name): points[name] for name in getattr(points, "colnames", points)}
         read = {name: column_of(one, is_whole) for name, one in table.items() if is_whole or has_unit(one)}
         table |= {name: cells for name, (cells, _) in read.items() if not cells or not isinstance(cells[0], list)}
-        further = {"units": {name: unit for name, (_, unit) in read.items() if unit}}
+        further = {"units": units} if (units := {name: unit for name, (_, unit) in read.items() if unit}) else {}
     elif hasattr(points, "columns") and hasattr(points, "to_dict"):
         if points.index.names != [None] or points.index.tolist() != list(range(len(points))):
             before, points = set(points), points.reset_index(allow_duplicates=True)
@@ -864,7 +864,7 @@ def plain_points(points: Any) -> dict[str, Any]:
     else:
         wanted = "must be a DataFrame, a Table, a mapping of columns, a file or a design"
         raise SweepError(f"points = {shown(points)}: {wanted}")
-    return {"columns": plain_columns(table, "points")} | {key: some for key, some in further.items() if some}
+    return {"columns": plain_columns(table, "points"), **further}
 
 
 def with_labels(points: Any, labels: Any) -> dict[str, Any]:

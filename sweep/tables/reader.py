@@ -82,8 +82,8 @@ def read_table(path: Path, texts: Collection[str] = ()) -> Any:
     and the row where there is one, for what cannot be read.
     """
     try:
-        if not path.is_file():  # a device or a pipe may have no end
-            raise SweepError("no such file")
+        if path.is_char_device() or not path.exists():  # a device may have no end
+            raise SweepError("is a device" if path.exists() else "no such file")
         content = path.read_bytes()
         # about units and headers that do not matter for the columns that are used
         with warnings.catch_warnings(action="ignore"):

@@ -96,7 +96,7 @@ WRONG = [
     ({"beta": [1.0, np.nan]}, "points.columns.beta: row 2: beta = nan: must be a number > 0"),
     ({"beta": [1.0, 2.0], "k": [1]}, "the same number of values; beta has 2, k has 1"),
     (Table({"beta": [1.0] * u.m}), "points.columns.beta: is in m, and the parameter is in 1/d"),
-    ("nowhere.csv", "no such file"),
+    *(("nowhere.csv", "no such file"), ("/", "Is a directory"), ("/dev/zero", "is a device")),
     (3, "must be a DataFrame, a Table, a mapping of columns, a file or a design"),
     (sobol(design="sobl"), "points.design: input should be 'sobol',"),
     (sobol(n=None), "n = None, ranges = {'beta': [1, 2]}: a design needs both"),
@@ -107,7 +107,7 @@ WRONG = [
     (sobol(design="morris", ranges={"solver": {"values": ["a", "b"]}}), "steps between 4 numbers"),
     (sobol(design="saltelli", n=10**6), "makes 3,000,000 points"),
     ({"file": "t.csv", "n": 3}, "points: n: does not go with file"),
-    ({"columns": {"k": [1]}, "design": "sobol"}, "exactly one of file, design and columns"),
+    *(({"columns": {"k": [1]}} | one, "exactly one of file, design") for one in ({"design": "sobol"}, {"file": ""})),
 ]
 LONG = 86.85482395804122
 HERE, GIVE = xr.DataArray([1.0, 2.0], dims="d", attrs={"units": "km"}), "declare its unit, or annotate it with Quantity"
