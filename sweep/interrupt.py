@@ -26,9 +26,9 @@ def answered(handler: Callable[[int, FrameType | None], None]) -> Iterator[dict[
     """Let a handler answer the signals in this block, but those that are ignored; give what answered each before."""
     # nohup ignores one on purpose; Python could not restore None
     before = {n: one for n in SIGNALS if (one := signal.getsignal(n)) not in (signal.SIG_IGN, None)}
-    for number in before:
-        signal.signal(number, handler)
     try:
+        for number in before:
+            signal.signal(number, handler)
         yield before
     finally:
         for number, one in before.items():
@@ -78,9 +78,9 @@ class Interruptions:
     @contextmanager
     def watched(self) -> Iterator[None]:
         """Handle signals in this block."""
-        self._watching = True
         with answered(self._answer) as self._before:
             self._unraisable_before, sys.unraisablehook = sys.unraisablehook, self._unraisable
+            self._watching = True
             try:
                 yield
             finally:

@@ -355,7 +355,7 @@ class _Child:
         """End the process unless it ends by itself within so many seconds."""
         if not self._is_open:
             return
-        if self._process is not None and (patience_s <= 0.0 or self.code(patience_s) is None):
+        if getattr(self._process, "pid", None) and (patience_s <= 0.0 or self.code(patience_s) is None):
             self._process.kill()
             self.code(END_S)
         self.channel.close()

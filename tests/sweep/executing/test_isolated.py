@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from linksweep import run
+from linksweep import SweepError, run
 from linksweep.sweep.executing import executor as children
 from linksweep.sweep.executing.worker import Deadlines, TimeLimitError
 from tests.sweep.opening import RunInterruptedError
@@ -140,13 +140,14 @@ def test_a_function_that_cannot_be_pickled_is_computed_in_a_child(tmp_path):
 
 
 def test_where_no_process_may_be_forked_a_new_one_computes_the_same(tmp_path, monkeypatch):
-    monkeypatch.setattr(children, "NOT_TO_BE_FORKED", ("sys",))
-
     def f(x: float):
-        return {"y": x / 3.0, "forked": "-c" not in sys.argv}
+        return x / 3.0 * ("-c" in sys.argv)
 
-    ds = run(f, tmp_path / "s.zarr", axes={"x": [1.0, 2.0]})
-    assert (ds.y.values.tolist(), ds.forked.values.tolist()) == ([1.0 / 3.0, 2.0 / 3.0], [False, False])
+    monkeypatch.setattr(os, "fork", lambda: os.listdir(tmp_path / "gone"))
+    with pytest.raises(SweepError, match="^a child process could not start: "):
+        run(f, tmp_path / "s.zarr", axes={"x": [1.0, 2.0]})
+    monkeypatch.setattr(children, "NOT_TO_BE_FORKED", ("sys",))
+    assert run(f, tmp_path / "s.zarr", axes={"x": [1.0, 2.0]}).f.values.tolist() == [1.0 / 3.0, 2.0 / 3.0]
 
 
 @pytest.mark.parametrize("number", [slow(signal.SIGINT), signal.SIGKILL])

@@ -137,8 +137,7 @@ def test_what_a_finaliser_swallows_comes_again_and_cleaning_up_is_not_interrupte
             Swallower() if is_swallowed else signal.raise_signal(signal.SIGINT)
             threading.Event().wait(ENDLESS_S)
         finally:
-            for _ in range(4):
-                time.sleep(LOST_S / 2)
+            time.sleep(2 * LOST_S)
             steps.append("clean")
 
     assert (ended_as(body), steps) == (signal.SIGINT, ["clean"])
