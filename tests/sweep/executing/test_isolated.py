@@ -144,7 +144,7 @@ def test_where_no_process_may_be_forked_a_new_one_computes_the_same(tmp_path, mo
         return x / 3.0 * ("-c" in sys.argv)
 
     monkeypatch.setattr(os, "fork", lambda: os.listdir(tmp_path / "gone"))
-    with pytest.raises(SweepError, match="^a child process could not start: "):
+    with pytest.raises(SweepError, match="a child process could not start: "):
         run(f, tmp_path / "s.zarr", axes={"x": [1.0, 2.0]})
     monkeypatch.setattr(children, "NOT_TO_BE_FORKED", ("sys",))
     assert run(f, tmp_path / "s.zarr", axes={"x": [1.0, 2.0]}).f.values.tolist() == [1.0 / 3.0, 2.0 / 3.0]
