@@ -88,9 +88,10 @@ class Refinement:
         what = "realisation" if "n_sim_done" in self.dataset else "point"
         took = f"{counted(len(self.rounds), 'round')}, {counted(self.spent, what)}"
         said = [f"{took}: {100.0 * self.spent / self.full:.3g} % of the {self.full:,} of a full grid that is as fine."]
-        why = " (--max-realisations allows more)" if what == "realisation" else ""
-        why = " (the axis has whole numbers)" if self.dataset[self.along].dtype.kind == "i" else why
+        most = " (--max-realisations allows more)" if what == "realisation" else ""
         for at, known in self.known.items():
+            is_whole = self.dataset[self.along].dtype.kind == "i" and (not most or known <= 1.0)
+            why = " (the axis has whole numbers)" if is_whole else most
             enough, is_enough = wanted * ROUNDING, known <= wanted * ROUNDING
             text = next(t for digits in range(2, 18) if (float(t := f"{known:.{digits}g}") <= enough) == is_enough)
             few = f"Not known{at}: there are too few points, or errors are not known{why}."
@@ -185,7 +186,8 @@ def looked_at(asked: Study, now: Study, rounds: Sequence[Round], goal: Goal, dat
     quantity.require_quantity(dataset, variable)
     axis = sorted(value for value in asked.axes[over] if value is not None)
     finest = goal["within"] or FINEST * (axis[-1] - axis[0])
-    least = max(finest * ROUNDING, float(dataset[over].dtype.kind == "i"))  # there is nothing between whole numbers
+    nearest = 1.0 if dataset[over].dtype.kind == "i" else NEAR * max(map(abs, axis))  # that values of the axis can be
+    least = max(finest * ROUNDING, nearest)
     uncut = {pair for pair in pairwise(axis) if pair[1] - pair[0] > least}
     made, common = laws.lines_of(dataset, variable, over), quantity.shares_random_numbers(dataset, [over])
     levels, known = made.thresholds(limit), dict[str, float]()
@@ -208,7 +210,7 @@ def looked_at(asked: Study, now: Study, rounds: Sequence[Round], goal: Goal, dat
     spent = int(dataset["n_sim_done"].sum() if numbers else (status == Status.DONE).sum())
     there = sorted(value for value in now.axes[over] if value is not None)
     finest = finest if is_find else float(np.diff(there).min())
-    per_line = math.floor((axis[-1] - axis[0]) / max(finest, NEAR * max(map(abs, axis))) * ROUNDING) + 1
+    per_line = math.floor((axis[-1] - axis[0]) / max(finest, nearest) * ROUNDING) + 1
     per_line, each = max(per_line, len(axis)), math.prod(numbers.values())
     full = per_line * (status.size // dataset[over].size) * each
     gaps.sort(key=lambda gap: -gap[0])  # what is known least comes first, as there may not be points for all

@@ -239,7 +239,7 @@ def test_the_command_says_what_is_known_and_what_it_took(sweep, tmp_path):
     shown = sweep("status", "s.zarr", cwd=tmp_path)[1]
     assert shown.count("of sweep refine") == len(report["rounds"]) == 2
     (tmp_path / "g.py").write_text("def inverse(x: int):\n    return 1.0 / x\n")
-    two = ["refine", "g.py:inverse", "--axis", "x=1,2", "--until", "error < 0.1", "-o", "w.zarr"]
-    for more in ((), ("--within", "9")):  # there is no full grid of fewer points
-        out = sweep(*two, *more, cwd=tmp_path, code=0)[1]
-        assert ("100 % of" in out, "known (the axis has whole" in out, "inf" in out) == (True, True, False)
+    two = ["refine", "g.py:inverse", "--axis", "x=1,2", "-o", "w.zarr", "--within"]
+    for more in ("9 --until error<0.1", "0.1 --until error<0.1", "0.1 --find inverse<0.6"):  # no other full grid
+        out = sweep(*two, *more.split(), cwd=tmp_path, code=0)[1]
+        assert ("100 % of" in out, "(the axis has whole" in out, "inf" in out) == (True, True, False)
