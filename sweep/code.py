@@ -67,6 +67,8 @@ CHANGING = {*dir(list), *dir(set), *dir(dict)} - {*dir(tuple), *dir(frozenset), 
 # Methods that make an object: what they set of it is how it begins, not a change; so is all that those of classes do.
 MAKING = ("__init__", "__new__", "__post_init__")
 MAKING_CLASSES = ("__init_subclass__", "__set_name__")
+# What stands for the class of an object in its methods.
+ITSELF = r"(cls|type\(self\)|__class__)(\.|$)"
 
 # What pickle may take apart, but is not the same from call to call.
 UNSTEADY = (io.IOBase, np.random.Generator, np.random.RandomState, random.Random)
@@ -174,14 +176,14 @@ def distributions_of(module: str | None) -> tuple[str, ...] | None:
     return distributions_at(file, top)
 
 
-def reach_of(roots: Mapping[str, Any]) -> "Reach":
-    """Return all that some objects reach.
+def reach_of(roots: Mapping[str, Any], module: str = "") -> "Reach":
+    """Return all that some objects reach, and the module that names them.
 
     What code changes while it runs, such as a cache, is not the same from call to call: it counts by the statements
     with which it begins.  So the roots are walked twice: first only what runs when they are called, which says what
     changes, then all.
     """
-    return Reach(roots, Reach(roots).changed())
+    return Reach(roots, Reach(roots).changed(), module)
 
 
 class Reach:
@@ -193,7 +195,7 @@ class Reach:
     order in which they do.
     """
 
-    def __init__(self, roots: Mapping[str, Any], changed: Collection[str] | None = None) -> None:
+    def __init__(self, roots: Mapping[str, Any], changed: Collection[str] | None = None, module: str = "") -> None:
         """Follow all but what is ``changed``; without that only what runs, to learn it."""
         self._is_running, self._changed = changed is None, frozenset(changed or ())
         self._called: set[str] = set()
@@ -213,6 +215,7 @@ class Reach:
         # The objects are kept beside their ids, so that no other object gets the same id meanwhile.
         self._met: dict[Any, Any] = {}
         self._todo: list[tuple[Any, ...]] = []
+        self._is_users(module)
         for name, value in roots.items():
             self._keep(f"value {name}", self._refer(name, value, {}))
         for through, add, *what in self._todo:  # which grows meanwhile
@@ -225,7 +228,9 @@ class Reach:
 
     def changed(self) -> set[str]:
         """Return what functions change that are called after what they belong to was made, as far as names tell."""
-        called = [keys for name, keys in self._changes if name.startswith("__") or name in self._called]
+        classes = [one for known in self._alike.values() for _, one in known.values() if isinstance(one, type)]
+        made = {f"{base.__name__}()" for one in classes if f"{one.__name__}()" in self._called for base in one.__mro__}
+        called = [keys for name, keys in self._changes if name.startswith("__") or name in self._called | made]
         return set().union(*called)
 
     def _follow(self, add: Callable[..., None], value: Any, *more: Any) -> None:
@@ -257,7 +262,7 @@ class Reach:
             self.places[f"value {label}"] = f"{around['__file__']}, line {statements[0].lineno}"
             text = without_package("".join(map(unparsed, statements)))
             self.statements[without_package(f"{STATEMENT}{label}")] = digest_of(text)
-        self._value, self._is_partial = label, name in self._changed
+        self._value, self._is_partial = label, not self._changed.isdisjoint((name, label))
         text = "" if self._is_partial else self._form(value, {})
         begins = self._text(statements, around) if self._is_partial else ""
         if self._is_partial and names is not None and not begins:  # as in a notebook
@@ -354,9 +359,9 @@ class Reach:
         """Return the attributes of an object that neither code changes nor are cached properties, in order; None if
         there is none, as before anything was cached.
         """
-        changed = state.keys() & self._changed
-        self._is_partial |= bool(changed)
         cached = {key for key in state if isinstance(getattr(kind, str(key), None), cached_property)}
+        changed = state.keys() & self._changed
+        self._is_partial |= bool(changed - cached)
         return [(key, state[key]) for key in sorted(state.keys() - changed - cached - {"__doc__"}, key=str)] or None
 
     def _is_users(self, module: str | None) -> bool:
@@ -387,7 +392,7 @@ class Reach:
     def _acts(self, acts: list[Any], module: str) -> None:
         names = vars(self.modules[module])
         for one in (one for one in acts if isinstance(one, DEFINITIONS)):  # so that a message can name it
-            self._code(names[one.name])
+            self._code(names.get(one.name))
         self._keep(f"module {module}", self._text(acts, names))
 
     def _whole(self, module: ModuleType) -> None:
@@ -421,17 +426,20 @@ class Reach:
         text += "".join(self._refer(f"{k} of {label}", v, names) for k, v in _closure(function).items())
         if nodes:
             self.places[f"function {label}"] = f"{code.co_filename}, line {nodes[0].lineno}"
-            self._called |= _all_names(code)
+            inside = {inner for node in nodes for inner in ast.walk(node)}
+            ran, owner = inside.difference(*map(_at_import, nodes)), function.__qualname__.split(".")[-2:][0]
+            calls = [unparsed(one.func).rpartition(".")[2] for one in ran if isinstance(one, ast.Call)]
+            self._called |= _all_names(code) | {f"{owner if re.match(ITSELF, one) else one}()" for one in calls}
             if (name := function.__name__) not in MAKING_CLASSES:
-                inside = [inner for node in nodes for inner in ast.walk(node)]
                 others = {*_names_in((*nodes,), code), *code.co_freevars}
                 others |= {node.name for node in inside if isinstance(node, ast.alias)}
                 changes = {one for node in inside if isinstance(node, ast.Global | ast.Nonlocal) for one in node.names}
-                for one in _changed(inside):  # what makes an object changes only those of others
-                    if one.partition(".")[0] in others or ("." in one and name not in MAKING):
-                        changes.add(one.rpartition(".")[2])
-                called = function.__qualname__.split(".")[-2:][0] if name in MAKING else name
-                self._changes.append((called, {home_of(one, names, names.get(one))[0] for one in changes}))
+                for one in _changed(inside):  # what makes an object changes only those of others, and its class
+                    is_set = "." in one and (name not in MAKING or re.match(ITSELF, one.removeprefix("self.")))
+                    is_other = is_set or one.partition(".")[0] in others  # else perhaps what a parameter is by default
+                    changes.add(one.rpartition(".")[2] if is_other else f"{label}.{one}")
+                homes = {home_of(one, names, names.get(one))[0] for one in changes}
+                self._changes.append((f"{owner}()" if name in MAKING else name, homes))
         elif not function.__name__.startswith("__"):  # what dataclasses make is in their class already
             self.unnoticed[self._through or label] = "function without source"
             nodes = [ast.Name(name) for name in sorted(_all_names(code))]  # what it reaches counts
@@ -545,16 +553,19 @@ def _closure(function: FunctionType) -> dict[str, Any]:
 @lru_cache(maxsize=256)
 def _set_by(kind: type) -> set[str]:
     """Return the names of attributes that methods of a class change of their object."""
-    methods = [one for base in kind.__mro__ for one in vars(base).values() if isinstance(one, FunctionType)]
+    every = [one for base in kind.__mro__ for one in vars(base).values() if type(one) in (FunctionType, *DESCRIPTORS)]
+    methods = {one for each in every for name in WRAPPED if isinstance(one := getattr(each, name, each), FunctionType)}
     nodes = [(one.__code__.co_varnames[:1], node) for one in methods for node in definitions_of(one)]
     texts = [text for itself, node in nodes for text in _changed(ast.walk(node)) if text.partition(".")[0] in itself]
     return {text.rpartition(".")[2] for text in texts}
 
 
-def _contents(value: Any) -> str:
+def _contents(value: Any, depth: int = 4) -> str:
     """Return what tells a value from others: functions by what is in their closures, objects by their attributes."""
     inside = _closure(value) if type(value) is FunctionType else getattr(value, "__dict__", {})
-    return re.sub(r" at 0x\w+", "", f"{value!r} {inside!r}")
+    parts = [*inside.values(), *getattr(value, "args", ())] if depth else []
+    more = [_contents(one, depth - 1) for one in parts if callable(one)]
+    return re.sub(r" at 0x\w+", "", f"{value!r} {inside!r} {more}")
 
 
 def tree_of(filename: str, names: Names) -> ast.Module:
@@ -640,7 +651,8 @@ def _names_in(nodes: tuple[ast.AST, ...], code: CodeType | None) -> frozenset[st
         names = {one.id for node in nodes for one in ast.walk(getattr(node, "args", node)) if isinstance(one, ast.Name)}
     tables = [*top.get_children()]
     for table in tables:  # which grows meanwhile
-        names |= {one.get_name() for one in table.get_symbols() if one.is_global()}
+        binds = code and table.get_type() == "class"  # what it may have looked up before
+        names |= {one.get_name() for one in table.get_symbols() if one.is_global() or (binds and one.is_referenced())}
         tables += table.get_children()
     return frozenset(names)
 
@@ -703,9 +715,8 @@ def _is_act(statement: ast.stmt, names: Names) -> bool:
     if any(isinstance(one, DEFINITIONS) and _is_registered(one, names) for one in nodes):
         return True
     if names.get("__name__") == "__main__":
-        roots = [
-            text.partition(".")[0] for text in _changed(nodes) if "." in text
-        ]  # functions of modules are no methods
+        # functions of modules are no methods
+        roots = [text.partition(".")[0] for text in _changed(nodes) if "." in text]
         return any(isinstance(names.get(root), ModuleType) for root in roots)
     calls = [one for one in nodes if isinstance(one, ast.Expr) and not isinstance(one.value, ast.Constant)]
     return bool(calls or [*_changed(nodes)])
@@ -1076,16 +1087,17 @@ def code_of(reference: str, experiment: Experiment, digest: str | None = None) -
 def parts_of(reference: str, digest: str | None = None) -> Mapping[str, str]:
     """Return the parts of what a loaded reference names, as `Reach` has them."""
     sources = sources_of(reference, digest)
-    return sources.parts if isinstance(sources, Live) else _reach(_find(reference, digest=digest)).parts
+    module = sources.module().__name__ if isinstance(sources, LocalFiles) else reference.rpartition(":")[0]
+    return sources.parts if isinstance(sources, Live) else _reach(_find(reference, digest=digest), module).parts
 
 
-def _reach(value: Any) -> Reach:
+def _reach(value: Any, module: str = "") -> Reach:
     """Return what a function or an experiment reaches; warn once of what has no canonical form."""
     roots = {"result": value}
     if isinstance(value, Experiment):
         roots = {one.name: getattr(value, one.name) for one in fields(value) if one.name not in DESCRIBING}
         roots |= {f"define of {p.name}": p.define for p in value.parameters if p.define is not None}
-    reached = reach_of(roots)
+    reached = reach_of(roots, module)
     _places.update(reached.places)
     for name, kind in reached.unnoticed.items():
         _warn(f"changes of {name}, a {kind}, are not noticed")

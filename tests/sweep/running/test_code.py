@@ -45,16 +45,16 @@ def total(points, n_sim):
     return {"total": [n_sim * (helper.FACTOR * p["rate"] + PLUS) for p in points]}
 """
 H = """
-K, ALL = 1.0, {"a": max}
 class B:
     n = 0
-    def __init__(self): B.n += 1
-    def first(self): self.t = 0.0; return B().n * self.t
+    def __init__(self, known={}): type(self).n += 1; known[self.n] = 1
+    @property
+    def first(self): self.t = 0.0; return C().n * self.t
 class B2: z = 1.0
 class C(B): k = 1.0
-c = C()
+c, K, ALL = C(), 1.0, {"a": max}
 def f(x: float):
-    return x * K * c.k * C.k + len(ALL) + ALL["a"]([0.0]) * 0 + getattr(c, "z", 0.0) + c.first()
+    return x * K * c.k * C.k + len(ALL) + ALL["a"]([0.0]) * 0 + getattr(c, "z", 0.0) + c.first
 """
 NAMED = {"h.K = 4.0": "value h.K", "h.c.k = 4.0": "value h.c", "h.C.k = 4.0": "value h.C.k ("}
 NAMED |= {"h.ALL['a'] = sum": "value h.ALL", "h.C.__bases__ = (h.B2,)": "class h.C"}
