@@ -16,7 +16,11 @@ def main() -> None:
 
     atexit.register(cli.leave_with_exit_code)  # what is registered first runs last
     cli.prepare_streams()
-    cli.main(prog_name="sweep")
+    try:
+        cli.main(prog_name="sweep")
+    except SystemExit as end:
+        cli.EXIT_CODES.append(int(end.code or 0))
+        raise
 
 
 if __name__ == "__main__":

@@ -747,8 +747,8 @@ def _is_registered(node: Any, names: Names) -> bool:
     hooked = [one for one in getattr(value, "__mro__", ())[1:] if "__init_subclass__" in vars(one)]
     if any(distributions_of(one.__module__) is None for one in hooked):
         return True
-    for name in {re.split(r"\W", unparsed(one))[0] for one in node.decorator_list}:
-        root = names.get(name)
+    for whole in {whole for one in node.decorator_list for whole in _chains(getattr(one, "func", one))}:
+        root = names.get(name := whole.partition(".")[0])
         home = vars(root) if isinstance(root, ModuleType) else home_of(name, names, root)[1]
         distributions = distributions_of(home.get("__name__"))
         if distributions or (distributions is None and isinstance(root, ModuleType | FunctionType | type)):

@@ -339,8 +339,8 @@ them would warn the user.
 SECTIONS: dict[str, dict[str, str]] = {name: {} for name in ("Run", "Look", "Compare", "Store care", "Your own")}
 """The commands as the help lists them."""
 
-_stopped_by: list[int] = []
-"""The signal that ended the command, if one did."""
+EXIT_CODES: list[int] = []
+"""The exit code of the command of this process, when it has ended."""
 
 RESULTS: list[Any] = [None]
 """The standard output of the command: while it works, `sys.stdout` is standard error, for what others print."""
@@ -474,7 +474,6 @@ def a_signal_ends_the_command() -> Iterator[None]:
 
 def end_stopped(number: int) -> NoReturn:
     """End the process with the exit code of a signal; workers that still compute are not waited for."""
-    _stopped_by.append(number)
     _kill_children()
     # Threads of Dask and of C code may never come back; Python would join them first.
     without_clean_up = threading.Timer(LAST_SECOND, os._exit, (128 + number,))
@@ -484,15 +483,16 @@ def end_stopped(number: int) -> NoReturn:
 
 
 def leave_with_exit_code() -> None:
-    """End a process, after its clean-up, with the exit code of the signal that stopped its command, if one did.
+    """End a process, after its clean-up, with the exit code of its command where something else would replace that.
 
-    Python itself would end it by SIGINT if that interrupted code run by ``exec``, with which dataclasses are made.
+    Python would end it by SIGINT if that interrupted code run by ``exec``, with which dataclasses are made; threads of
+    pyarrow may abort it while their library is unloaded (apache/arrow issue 34314).
     """
-    if _stopped_by:
+    if EXIT_CODES and (EXIT_CODES[-1] > 128 or "pyarrow" in sys.modules):
         for stream in (sys.stdout, sys.stderr):
             with suppress(OSError, ValueError):
                 stream.flush()
-        os._exit(128 + _stopped_by[-1])
+        os._exit(EXIT_CODES[-1])
 
 
 def _leave_at_once(number: int, _frame: object) -> NoReturn:
