@@ -565,7 +565,9 @@ def _contents(value: Any, depth: int = 4) -> str:
     inside = _closure(value) if type(value) is FunctionType else getattr(value, "__dict__", {})
     parts = [*inside.values(), *getattr(value, "args", ())] if depth else []
     more = [_contents(one, depth - 1) for one in parts if callable(one)]
-    return re.sub(r" at 0x\w+", "", f"{value!r} {inside!r} {more}")
+    text = re.sub(r" at 0x\w+", "", f"{value!r} {inside!r} {more}")
+    words = sorted(re.split(r"\W+", text))  # sets among them have no order
+    return f"{words} {text}"
 
 
 def tree_of(filename: str, names: Names) -> ast.Module:

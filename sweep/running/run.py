@@ -753,7 +753,8 @@ class Session:
             if pending.blocks and (not study.experiment.says_cost or pending.cost > short):
                 writer.write()
             elif pending.cost > TARGET:  # now, while workers begin: the end of the run would wait for it
-                import_module("zarr.storage")
+                with postponed():  # a library that is half imported writes nothing
+                    import_module("zarr.storage")
             with writer:
                 for batch, result in results:
                     if result.refused:
