@@ -99,10 +99,9 @@ class Task:
     ``time_limit_s`` is for a block of one point; with it the process must be one that may be ended.  A
     ``repeatable`` experiment is to return the same results whenever it is called: it is called again at its first
     point, by the same process only where that took at most ``at_once_s`` seconds, else by one that gets the ``first``
-    results.  With ``caught`` false what it raises
-    is raised, and what it prints is printed.  ``keep`` takes all outcomes, to write what is large, before they are
-    sent.  ``errors`` of NumPy and ``decimals`` are treated as in the thread of the run, since each thread has its own
-    setting.
+    results.  With ``caught`` false what it raises is raised, and what it prints is printed.  ``keep`` takes all
+    outcomes, to write what is large, before they are sent.  ``errors`` of NumPy and ``decimals`` are treated as in the
+    thread of the run, since each thread has its own setting.
     """
 
     experiment_reference: str

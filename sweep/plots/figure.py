@@ -244,8 +244,10 @@ def _others(dataset: xr.Dataset, variable: str, along: Sequence[str]) -> list[st
 
 
 def _too_many(dataset: xr.Dataset, dimensions: Sequence[str], variables: Sequence[str] = ()) -> SweepError:
-    sizes = [f"{d} ({dataset.sizes[d]})" for d in dimensions] + ([f"{len(variables)} variables"] if variables else [])
-    return SweepError(f"{', '.join(sizes)}: too many for one picture; fix some with --at AXIS=VALUE, or --variable")
+    counts = {d: dataset.sizes[d] for d in dimensions} | ({"variables": len(variables)} if len(variables) > 1 else {})
+    sizes = ", ".join(f"{name} ({number})" for name, number in counts.items())
+    choice = ", or choose with --variable" if len(variables) > 1 else ""
+    return SweepError(f"{sizes}: too many for one picture; fix some with --at AXIS=VALUE{choice}")
 
 
 def _separation(array: xr.DataArray, dimension: str) -> float:
