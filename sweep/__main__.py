@@ -2,8 +2,11 @@
 
 import atexit
 import gc
+import os
 import signal
+import sys
 import warnings
+from contextlib import suppress
 
 
 def main() -> None:
@@ -14,13 +17,27 @@ def main() -> None:
     gc.disable()  # until the command begins: to search imports for garbage takes a tenth of a short run
     from linksweep.sweep import cli
 
-    atexit.register(cli.leave_with_exit_code)  # what is registered first runs last
+    codes = list[int]()
+    atexit.register(_leave, codes)  # what is registered first runs last
     cli.prepare_streams()
     try:
         cli.main(prog_name="sweep")
     except SystemExit as end:
-        cli.EXIT_CODES.append(int(end.code or 0))
+        codes.append(int(end.code or 0))
         raise
+
+
+def _leave(codes: list[int]) -> None:
+    """End a process, after its clean-up, with the exit code of its command where something else would replace that.
+
+    Python would end it by SIGINT if that interrupted code run by ``exec``, with which dataclasses are made; threads of
+    pyarrow may abort it while their library is unloaded (apache/arrow issue 34314).
+    """
+    if codes and (codes[-1] > 128 or "pyarrow" in sys.modules):
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(OSError, ValueError):
+                stream.flush()
+        os._exit(codes[-1])
 
 
 if __name__ == "__main__":

@@ -339,9 +339,6 @@ them would warn the user.
 SECTIONS: dict[str, dict[str, str]] = {name: {} for name in ("Run", "Look", "Compare", "Store care", "Your own")}
 """The commands as the help lists them."""
 
-EXIT_CODES: list[int] = []
-"""The exit code of the command of this process, when it has ended."""
-
 RESULTS: list[Any] = [None]
 """The standard output of the command: while it works, `sys.stdout` is standard error, for what others print."""
 
@@ -480,19 +477,6 @@ def end_stopped(number: int) -> NoReturn:
     without_clean_up.daemon = True
     without_clean_up.start()
     sys.exit(128 + number)
-
-
-def leave_with_exit_code() -> None:
-    """End a process, after its clean-up, with the exit code of its command where something else would replace that.
-
-    Python would end it by SIGINT if that interrupted code run by ``exec``, with which dataclasses are made; threads of
-    pyarrow may abort it while their library is unloaded (apache/arrow issue 34314).
-    """
-    if EXIT_CODES and (EXIT_CODES[-1] > 128 or "pyarrow" in sys.modules):
-        for stream in (sys.stdout, sys.stderr):
-            with suppress(OSError, ValueError):
-                stream.flush()
-        os._exit(EXIT_CODES[-1])
 
 
 def _leave_at_once(number: int, _frame: object) -> NoReturn:
