@@ -244,7 +244,7 @@ def all_but(study: Study, points: Collection[bytes]) -> dict[str, int]:
 
 def describe(study: Study, parameters: dict[str, Any]) -> str:
     """Return a point's place on the axes in words: ``model=gaia,v_max=16.0``."""
-    return ",".join(f"{name}={parameters[name]}" for name in study.axes) or "the only point"
+    return ",".join(f"{name}={str(parameters[name]) or 'none'}" for name in study.axes) or "the only point"
 
 
 def failures_by_place(

@@ -23,7 +23,7 @@ from linksweep.sweep.functions.results import Layout, joined, layout_refusals
 from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.grid import Grid, describe, make_grid
 from linksweep.sweep.planning.plan import Plan, lost_parts
-from linksweep.sweep.planning.union import united
+from linksweep.sweep.planning.union import REFINED, united
 from linksweep.sweep.running import run
 from linksweep.sweep.running.reproduce import study_of
 from linksweep.sweep.stores.integrity import LEDGER_THEN, STORE
@@ -83,7 +83,8 @@ def merge(places: Sequence[Where], into: Where, *, accept_code: bool = False, tr
     for source in reversed(sources[:-1]) if part is None else ():
         study = united(source.study, study, digests)
     about = _about(sources)
-    origin = {MERGED: json.dumps(about)}
+    rounds = [one for source in sources for one in json.loads(source.attributes.get(REFINED, "[]"))]
+    origin = {MERGED: json.dumps(about)} | ({REFINED: json.dumps(rounds)} if rounds else {})
     require_free(place, study, about)
     _require_same_bits(sources, experiment.reducer.dtype)
     plan = Plan(make_grid(study) if part else Grid(study))  # the warnings of one run
@@ -150,7 +151,7 @@ def _sources(places: Sequence[Where], trust: bool) -> list[_Source]:
             studies[meant] = _study_in(opened, trust)
         study, layout = studies[meant]
         part = Part.recorded(attributes)
-        kept = {key: attributes[key] for key in (*KEPT, *_COMPARED, STORE, LEDGER_THEN) if key in attributes}
+        kept = {key: attributes[key] for key in (*KEPT, *_COMPARED, REFINED, STORE, LEDGER_THEN) if key in attributes}
         ledger = opened.ledger()
         keys = tuple(ledger.rows)
         sources.append(_Source(location, kept, replace(study, part=part), layout, ledger.dtype, keys, ledger.failures))

@@ -614,9 +614,10 @@ def _in_file(file: str, values: Values) -> dict[str, Column]:
     doubtful = [n for n, one in ours.items() if one.kind in ("any", "str") and {*map(type, cells[n])} != {str}]
     written = read_table(path, texts=doubtful) if doubtful else {}
     for name in doubtful:  # 0071 is a name, and not the number 71; and "none" is a value where the choices have it
-        pairs = zip(cells[name], column_of(written[name], is_whole=True).cells, strict=True)
-        texts = [None if cell is None and text not in ours[name].choices else text for cell, text in pairs]
-        if ours[name].kind == "str" or any(re.fullmatch(r"0\d+", str(text)) for text in texts):
+        one, pairs = ours[name], zip(cells[name], column_of(written[name], is_whole=True).cells, strict=True)
+        is_text = one.kind == "str" and not one.optional
+        texts = [text if is_text or cell is not None or text in one.choices else None for cell, text in pairs]
+        if one.kind == "str" or any(re.fullmatch(r"0\d+", str(text)) for text in texts):
             cells[name] = texts
         else:  # an integer stays one when a row with a fraction is appended
             cells[name] = [
@@ -802,7 +803,7 @@ def plain(value: Any, where: str, deep: bool = True) -> Any:
     elif hasattr(value, "tolist") and getattr(getattr(value, "dtype", None), "kind", "") in PLAIN:
         return value.tolist()
     # Neither what gives its values only once, nor a set, whose order differs between processes: both are refused later.
-    if not isinstance(value, Iterable) or isinstance(value, str | bytes | set | frozenset | Iterator):
+    if not np.iterable(value) or isinstance(value, str | bytes | set | frozenset | Iterator):
         return value
     return [plain(item, where) if deep else plain_value(item) for item in value]
 

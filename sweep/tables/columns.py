@@ -578,7 +578,8 @@ def _flags(node: ast.expr, read: Columns) -> Flags:
         is_in = isinstance(comparison, (ast.In, ast.NotIn))
         right, compare = _operand(other, read, is_in), _COMPARISONS.get(type(comparison))
         if compare is None or (left.kind != right.kind and "text" in (left.kind, right.kind)):
-            quotes = " (text is in quotes, '1')" if "text" in (left.kind, right.kind) else ""
+            none = "; None is where not {0} == {0}".format(ast.unparse(node.left)) if np.any(left.missing) else ""
+            quotes = f" (text is in quotes, '1'{none})" if "text" in (left.kind, right.kind) else ""
             said = f"{left.kind} cannot be compared with {right.kind} in this way{quotes}"
             raise ValueError(f"{said}, {ast.unparse(node)}")
         flags &= compare(left.values, right.values) & np.logical_not(left.missing | right.missing)

@@ -42,7 +42,7 @@ def noisy(x: float, y: int = 2, name: str = "a", *, rng, n_sim):
 X, Y, NAMES = (0.5, 1.0, 2.0, 4.0), (2, 3, 5), ("a", "b")
 DEFAULTS = {"y": 2, "name": "a"}
 CHOSEN = [(["b", "c", None], "k != 'b'", ["c", None]), (["b", "c", None], "k == 'None'", [None])]
-CHOSEN += [([1, "b"], "k == '1'", [1]), ([1, 2, None], "not (k <= 1)", [2, None])]
+CHOSEN += [([1, "b"], "k == '1'", [1]), ([1, 2, None], "not k == k or k > 1", [2, None])]
 TABLES = [{"x": [1, 2], "y": [1, 3]}, {"d": [1, 1, 0]}, {"x": [4, 4]}, {"d": [0, 0]}]
 
 
