@@ -292,11 +292,11 @@ def axis_values(spec: object, whole: bool = False) -> list[Any]:
     """Return the values of an axis written as a list, {values}, {start, stop, step} or {start, stop, num, spacing}.
 
     A range includes its stop; values are computed from the decimals that are written and rounded once, so that 14.1
-    from a range is the 14.1 of a list.  If ``whole``, those that are log-spaced are rounded to integers.  Raises
-    ValueError that says what is allowed.
+    from a range is the 14.1 of a list, and steps of integers make integers.  If ``whole``, values that are log-spaced
+    are rounded to integers, too.  Raises ValueError that says what is allowed.
 
-    >>> axis_values({"start": 14, "stop": 16, "step": 0.5})
-    [14.0, 14.5, 15.0, 15.5, 16.0]
+    >>> axis_values({"start": 14, "stop": 16, "step": 0.5}), axis_values({"start": 14, "stop": 16, "step": 1})
+    ([14.0, 14.5, 15.0, 15.5, 16.0], [14, 15, 16])
     >>> axis_values({"start": 10, "stop": 1000, "num": 5, "spacing": "log"}, whole=True)
     [10, 32, 100, 316, 1000]
     """
@@ -313,9 +313,10 @@ def axis_values(spec: object, whole: bool = False) -> list[Any]:
     start, stop = number_at("start", spec), number_at("stop", spec)
     first, last = Decimal(str(start)), Decimal(str(stop))
     low, distance, reaches = Fraction(first), Fraction(last) - Fraction(first), True
+    whole |= all(isinstance(one, int) for one in (start, stop, spec.get("step")))
     if "step" in spec:
         step = Fraction(str(number_at("step", spec)))
-        if step == 0 or distance / step < 0:
+        if step == 0 or (distance and distance / step < 1 - Fraction(1, 10**9)):
             problem = f"does not lead from start = {shown(start)} to stop = {shown(stop)}"
             raise ValueError(f"step = {shown(spec['step'])}: {problem}")
         # The stop is one of the values although a step that was computed may not divide the distance.
