@@ -1026,7 +1026,7 @@ def _find(reference: str, folder: Path | None = None, digest: str | None = None,
     absolute = absolute_reference(reference, folder or Path.cwd())
     place, _, attribute = absolute.rpartition(":")
     if not place or not attribute:
-        raise SweepError(f"{shown(reference)}: write module:attribute or file.py:attribute")
+        raise SweepError(f"{shown(reference)}: must be MODULE:NAME or FILE.py:NAME")
     if afresh and place != SESSION:
         parts_of.cache_clear()
         for path in (absolute, place):

@@ -398,7 +398,7 @@ class _Group(click.Group):
             click.echo(how_ended(stop.signal.name), err=True)
             end_stopped(stop.signal)
         except click.UsageError as error:
-            click.echo(f"error: {error.format_message()}", err=True)
+            click.echo(f"error: {error.format_message().replace(' range.', '.')}", err=True)  # of Click's types
             command = error.ctx.command_path if error.ctx else ctx.command_path
             is_set_wrong = isinstance(error, click.NoSuchOption) or "unexpected extra" in error.message
             hint = HOW_TO_SET if command == "sweep run" and is_set_wrong else ""
@@ -661,7 +661,7 @@ def require_writable(path: Path) -> None:
     if path.suffix.lower() == ".zarr":
         require_free(path)
     else:
-        drawing_styles().require_format(path)
+        drawing_styles().require_format(path, ".zarr")
 
 
 def save_result(dataset: Any, path: Path) -> None:

@@ -111,7 +111,7 @@ class Resources:
         if self.pool not in (None, *POOLS):
             raise SweepError(f"no pool {shown(self.pool)}{suggest(str(self.pool), list(POOLS))}")
         if self.workers is not None and self.pool is not None and not POOLS[self.pool].has_workers:
-            raise SweepError(f"pool {self.pool} has no workers")
+            raise SweepError(f"workers = {self.workers}: pool {self.pool} has none; leave out one of the two")
         if not isinstance(self.limits, Limits):
             raise SweepError(f"limits = {shown(self.limits)}: must be linksweep.Limits(time_s, memory)")
         time_s, memory = self.limits.time_s, self.limits.memory
@@ -124,7 +124,7 @@ class Resources:
         here = {"workers": self.workers, "pool": self.pool, "memory": memory, "dashboard": self.dashboard}
         local = [name for name, value in here.items() if value not in (None, False)]
         if elsewhere and (local or len(elsewhere) > 1):
-            raise SweepError(f"{', '.join([*local, *elsewhere])}: these are of different places to run on; name one")
+            raise SweepError(f"{' and '.join([*local, *elsewhere])} are for different places to run on: leave out one")
         if self.dashboard and self.pool not in (None, DEFAULT_POOL):
             raise SweepError("a dashboard is for local worker processes")
         if self.dashboard and find_spec("bokeh") is None:

@@ -163,10 +163,10 @@ def seen(text: str) -> int:
     return len(re.sub(r"[_^]", "", plain(re.sub(rf"\\(?:var)?(?:{GREEK})(?![a-z])", "x", text))))
 
 
-def require_format(path: Path) -> None:
-    """Raise SweepError unless a path ends like one of `FORMATS`."""
+def require_format(path: Path, *others: str) -> None:
+    """Raise SweepError unless a path ends like one of `FORMATS`, and name ``others``, which are not drawn."""
     if path.suffix.lower() not in FORMATS:
-        raise SweepError(f"cannot draw there: the name must end with {', '.join(FORMATS)}", str(path))
+        raise SweepError(f"cannot draw there: the name must end with {', '.join([*others, *FORMATS])}", str(path))
 
 
 def save(figure: Figure, path: Path, words: str = "") -> None:

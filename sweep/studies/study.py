@@ -561,12 +561,12 @@ class PointsForm(Section):
     @model_validator(mode="after")
     def _one_source(self) -> Self:
         if [self.file, self.design, self.columns].count(None) != 2:
-            raise ValueError("needs exactly one of file, design and columns")
+            raise ValueError("needs exactly one of file (--points), design (--design) and columns")
         keys = {"file": "units labels", "design": "n seed ranges", "columns": "units labels origin"}[self.source]
         if stray := sorted(self.model_fields_set - {*keys.split(), self.source, "derive"}):
             raise ValueError(f"{', '.join(stray)}: does not go with {self.source}")
         if self.design is not None and (self.n is None or not self.ranges):
-            raise ValueError(f"n = {self.n}, ranges = {shown(self.ranges)}: a design needs both")
+            raise ValueError(f"n = {self.n}, ranges = {shown(self.ranges)}: needs both (--design sobol:8, --range)")
         return self
 
 

@@ -35,7 +35,7 @@ AXES = {"x": [0.1 * k for k in range(40)]}
 PLACES = {"workers": 2, "pool": "serial", "dashboard": True}
 PLACES |= {"client": "tcp://a:1", "scheduler": "tcp://a:1", "cluster": "a.toml"}
 PAIRS = [pair for pair in combinations(PLACES, 2) if pair != ("workers", "dashboard")]
-SAID = {("pool", "dashboard"): "a dashboard is for local", ("workers", "pool"): "pool serial has no workers"}
+SAID = {("pool", "dashboard"): "a dashboard is for local", ("workers", "pool"): "workers = 2: pool serial has none"}
 SAID[("client",)] = "client = 'tcp://a:1': must be a distributed.Client that is connected"
 WRONG_FILES = [("", "class = "), ("class = 1\nscale = 1\n", "class = 1: "), (LOCAL + "scale = 0\n", "scale = 0: ")]
 WRONG_FILES += [('class = "LocalCluster"\nscale = 1\n', "class = 'LocalCluster': ")]
@@ -211,6 +211,6 @@ def test_a_study_runs_over_tls_and_wrong_certificates_are_refused_in_a_sentence(
 
 @pytest.mark.parametrize("pair", [*PAIRS, ("client",)], ids=" ".join)
 def test_two_places_to_run_on_are_refused(pair, here):
-    with pytest.raises(linksweep.SweepError, match=SAID.get(pair, "these are of different places to run on; name one")):
+    with pytest.raises(linksweep.SweepError, match=SAID.get(pair, "are for different places to run on: leave out one")):
         linksweep.run(lambda x: x, "s.zarr", axes={"x": [1.0]}, **{name: PLACES[name] for name in pair})
     assert not list(here.iterdir())

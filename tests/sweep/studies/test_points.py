@@ -99,7 +99,7 @@ WRONG = [
     *(("nowhere.csv", "no such file"), ("/", "Is a directory"), ("/dev/zero", "is a device")),
     (3, "must be a DataFrame, a Table, a mapping of columns, a file or a design"),
     (sobol(design="sobl"), "points.design: input should be 'sobol',"),
-    (sobol(n=None), "n = None, ranges = {'beta': [1, 2]}: a design needs both"),
+    (sobol(n=None), "n = None, ranges = {'beta': [1, 2]}: needs both (--design"),
     (sobol(ranges={"beta": [0, 2]}), "points.ranges.beta: beta = 0: must be a number > 0"),
     (sobol(ranges={"beta": [2, 1]}), "low = 2 must be less than high = 1"),
     (sobol(ranges={"solver": ["a", "b"]}), "write { values = [...] }"),
@@ -107,7 +107,7 @@ WRONG = [
     (sobol(design="morris", ranges={"solver": {"values": ["a", "b"]}}), "steps between 4 numbers"),
     (sobol(design="saltelli", n=10**6), "makes 3,000,000 points"),
     ({"file": "t.csv", "n": 3}, "points: n: does not go with file"),
-    *(({"columns": {"k": [1]}} | one, "exactly one of file, design") for one in ({"design": "sobol"}, {"file": ""})),
+    *(({"columns": {"k": [1]}} | one, "exactly one of file") for one in ({"design": "sobol"}, {"file": ""})),
 ]
 LONG = 86.85482395804122
 HERE, GIVE = xr.DataArray([1.0, 2.0], dims="d", attrs={"units": "km"}), "declare its unit, or annotate it with Quantity"
