@@ -13,6 +13,7 @@ holds.
 """
 
 import ast
+import builtins
 import hashlib
 import importlib.abc
 import importlib.util
@@ -74,7 +75,7 @@ ITSELF = r"(cls|type\(self\)|__class__)(\.|$)"
 UNSTEADY = (io.IOBase, np.random.Generator, np.random.RandomState, random.Random)
 
 # With which code may name anything of its module.
-BY_NAME = ("globals", "eval", "exec", "sys.modules")
+BY_NAME = (globals, eval, exec, sys.modules)
 
 # Attributes of classes that Python sets: some are caches, and what is not is in the statements of the class.
 PYTHONS = ("__", "_abc_", "_value2member_map_")
@@ -89,7 +90,7 @@ PLAIN_CLASS = {*dir(type), *dir(SupportsAbs), "__weakref__", "__firstlineno__", 
 WRAPPED = ("__func__", "fget", "fset", "fdel", "func", "pyfunc", "otypes", "signature", "__wrapped__", "_self_wrapper")
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda
-Names = Mapping[str, Any]
+Names = dict[str, Any]
 
 _STDLIB = Path(sysconfig.get_path("stdlib")).resolve()
 _PACKAGE = Path(__file__).parents[1]  # as it is imported: linksweep/sweep is a link in a checkout
@@ -379,7 +380,7 @@ class Reach:
         if name in self.modules:
             return
         self.modules[name] = module
-        self._is_users(name.rpartition(".")[0])  # its package is imported before
+        self._is_users(getattr(module.__spec__, "name", name).rpartition(".")[0])  # its package is imported before
         if file.endswith(tuple(EXTENSION_SUFFIXES)):
             self._keep(f"file {Path(file).name}", digest_of(Path(file).read_bytes()))
         for one in tree_of(file, vars(module)).body:
@@ -431,8 +432,8 @@ class Reach:
             calls = [unparsed(one.func).rpartition(".")[2] for one in ran if isinstance(one, ast.Call)]
             self._called |= _all_names(code) | {f"{owner if re.match(ITSELF, one) else one}()" for one in calls}
             if (name := function.__name__) not in MAKING_CLASSES:
-                others = {*_names_in((*nodes,), code), *code.co_freevars}
-                others |= {node.name for node in inside if isinstance(node, ast.alias)}
+                imported = {node.name for node in inside if isinstance(node, ast.alias)}
+                others = imported.union(_names_in((*nodes,), code), code.co_freevars)
                 changes = {one for node in inside if isinstance(node, ast.Global | ast.Nonlocal) for one in node.names}
                 for one in _changed(inside):  # what makes an object changes only those of others, and its class
                     is_set = "." in one and (name not in MAKING or re.match(ITSELF, one.removeprefix("self.")))
@@ -476,21 +477,22 @@ class Reach:
         if function is None and self._is_running:  # runs while it is imported, before any root is called
             return ""
         bound, code = self._imported(nodes, names), function.__code__ if function else None
-        scope, text = ChainMap(bound, dict(names)), "".join(map(unparsed, nodes))
+        text = "".join(map(unparsed, nodes))
         # _C__k, which is __k in the class C
         private = {name for name in _all_names(code) if re.match("_[^_].*__", name)}
-        wanted = {*bound, *private, *_names_in((*nodes,), code)}
+        wanted = {n for n in (*bound, *private, *_names_in((*nodes,), code)) if n in bound or n in names}
+        scope = ChainMap(bound, names, vars(builtins), {"sys": sys})  # which it may import inside
         for whole in sorted(private.union(*map(_chains, nodes))):
-            name, *path = whole.split(".")
-            if function and whole in BY_NAME and names.get("__name__") in sys.modules:
-                self._follow(self._whole, sys.modules[names["__name__"]])
-            if name not in scope or name not in wanted:
-                continue
-            value, home = scope[name], names
+            first, *path = whole.split(".")
+            value, name, home = scope.get(first), first, names
             with suppress(Exception):  # raised again by the function where it is called
                 while path and isinstance(value, ModuleType):
                     home, name = vars(value), path.pop(0)
                     value = getattr(value, name)
+            if function and any(value is one for one in BY_NAME) and names.get("__name__") in sys.modules:
+                self._follow(self._whole, sys.modules[names["__name__"]])
+            if first not in wanted:
+                continue
             if isinstance(value, type) and path[:1] == ["__subclasses__"]:
                 value = [value, *type.__subclasses__(value)]
             stands = self._named(name, home, value)
@@ -502,7 +504,7 @@ class Reach:
         bound, package = dict[str, Any](), names.get("__package__")
         inside = [one for node in nodes for one in ast.walk(node)]
         called = [one.asname for one in inside if isinstance(one, ast.alias) and one.name == "import_module"]
-        called += [name for name, value in names.items() if value is importlib.import_module]
+        called += [n.id for n in inside if isinstance(n, ast.Name) and names.get(n.id) is importlib.import_module]
         ends = "import_module", "__import__", *map(".{}".format, called)
         for one in inside:
             with suppress(Exception):  # raised again by the function where it is called
@@ -645,12 +647,12 @@ def _names_in(nodes: tuple[ast.AST, ...], code: CodeType | None) -> frozenset[st
     text = "\n".join(map(unparsed, nodes))
     if code is None:
         top = symtable.symtable(text, "", "exec")
-        names = {one.get_name() for one in top.get_symbols() if one.is_referenced()}
     else:
         inner = f"def around({', '.join(code.co_freevars)}):\n pass\n{indent(text, ' ')}"
         (top,) = symtable.symtable(inner, "", "exec").get_children()
-        # also in defaults and annotations: what code changes of a default is left out of its value
-        names = {one.id for node in nodes for one in ast.walk(getattr(node, "args", node)) if isinstance(one, ast.Name)}
+    names = {one.get_name() for one in top.get_symbols() if one.is_referenced()}
+    if code is not None:  # also in defaults and annotations: what code changes of a default is left out of its value
+        names &= {n.id for node in nodes for n in ast.walk(getattr(node, "args", node)) if isinstance(n, ast.Name)}
     tables = [*top.get_children()]
     for table in tables:  # which grows meanwhile
         binds = code and table.get_type() == "class"  # what it may have looked up before
@@ -714,7 +716,8 @@ def _is_act(statement: ast.stmt, names: Names) -> bool:
     modules, and what it has defined, is more than its own affair.
     """
     nodes = _at_import(statement)
-    if any(isinstance(one, DEFINITIONS) and _is_registered(one, names) for one in nodes):
+    members = {one for each in nodes if isinstance(each, ast.ClassDef) for one in each.body}
+    if any(isinstance(one, DEFINITIONS) and one not in members and _is_registered(one, names) for one in nodes):
         return True
     if names.get("__name__") == "__main__":
         # functions of modules are no methods
@@ -739,12 +742,12 @@ def _at_import(statement: ast.AST) -> Sequence[ast.AST]:
 
 def _is_registered(node: Any, names: Names) -> bool:
     """Return whether a decorator, or the hook of a base class, registers a definition somewhere: one that returns the
-    function or class as it was, without a mark on it, can have done nothing else.  Those of Python make definitions,
-    and what a value of the user's is given is in that value.
+    function or class as it was, without a mark on it, or nothing, can have done nothing else.  Those of Python make
+    definitions, and what a value of the user's is given is in that value.
     """
     value = names.get(node.name)
-    is_kept = isinstance(value, FunctionType | type) and value.__name__ == node.name
-    if not is_kept or any(mark not in unparsed(node) for mark in vars(value).keys() - PLAIN_CLASS):
+    is_kept = value is None or (isinstance(value, FunctionType | type) and value.__name__ == node.name)
+    if not is_kept or any(mark not in unparsed(node) for mark in getattr(value, "__dict__", {}).keys() - PLAIN_CLASS):
         return False
     hooked = [one for one in getattr(value, "__mro__", ())[1:] if "__init_subclass__" in vars(one)]
     if any(distributions_of(one.__module__) is None for one in hooked):
@@ -840,7 +843,7 @@ class Live:
 
     def __init__(self, value: Callable[..., Any] | Experiment) -> None:
         self.value, self.reach = value, _reach(value)
-        self.parts, self.digest, self.paths = self.reach.parts, _digest(self.reach), sys.path
+        self.parts, self.digest, self.paths = self.reach.parts, _digest(self.reach.parts), sys.path
         self.acting = self.reach.acting
         self.name = value.name if isinstance(value, Experiment) else name_of(value)
         self.path = _importable(value) or f"{SESSION}:{self.name}-{self.digest}"
@@ -917,10 +920,9 @@ class SourceFunction:
 
 @lru_cache(maxsize=16)
 def _function(wanted: SourceFunction) -> Any:
-    value = _find(wanted.reference)
-    if _digest(_reach(value)) != wanted.digest:
+    if _digest(parts_of(wanted.reference)) != wanted.digest:
         raise SweepError(f"{wanted.reference}: its code is not that with which the study was read")
-    return value
+    return _find(wanted.reference)
 
 
 class Code:
@@ -942,7 +944,7 @@ class Code:
         value = _find(reference, folder, afresh=self.afresh)
         _require(callable(value), "a function", reference, value)
         absolute = absolute_reference(reference, folder)
-        return SourceFunction(absolute, absolute.rpartition(":")[2], _digest(_reach(value)))
+        return SourceFunction(absolute, absolute.rpartition(":")[2], _digest(parts_of(absolute)))
 
 
 def load_experiment(
@@ -1127,8 +1129,8 @@ def _warn(sentence: str) -> None:
     logging.getLogger("linksweep").warning("%s", sentence)
 
 
-def _digest(reached: Reach) -> str:
-    return digest_of(repr(sorted(reached.parts.items())))
+def _digest(parts: Mapping[str, str]) -> str:
+    return digest_of(repr(sorted(parts.items())))
 
 
 def new_process(code: str, **options: Any) -> "subprocess.Popen[bytes]":

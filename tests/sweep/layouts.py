@@ -34,7 +34,7 @@ ENDS = {  # how the constant, CONSTANT, comes into NAME(x)
     "changes a name of its own": "def NAME_one(w):\n    w[0] = 0.0\n    return w[0]\n\nNAME_k = [CONSTANT]\nw = vars()['NAME_' + 'k']\n\ndef NAME(x):\n    return NAME_one([x]) + w[0]",
     "global": "K_NAME = CONSTANT\n\ndef NAME(x):\n    class C_NAME:\n        K_NAME = K_NAME\n    return x + C_NAME.K_NAME",
     "default": "def NAME(x, k=CONSTANT):\n    return x + k",
-    "keyword": "def NAME(x, *, k=CONSTANT):\n    return x + k",
+    "keyword": "def NAME(x, *, k=CONSTANT, own=lambda v: v):\n    return x + k",
     "instance": "S_NAME = []\n\nclass C_NAME:\n    def __init__(self, k):\n        self.k = k\n        S_NAME.append(self)\n\nNAME_object = C_NAME(CONSTANT)\n\ndef NAME(x):\n    return x + sum(one.k for one in S_NAME if isinstance(one, C_NAME))",
     "configured": "class C_NAME:\n    k = 0.0\n    def configure(self, k):\n        self.k = k\n\nNAME_object = C_NAME()\nNAME_object.configure(CONSTANT)\n\ndef NAME(x):\n    return x + NAME_object.k",
     "dict": "D_NAME = {'k': CONSTANT, 'names': {'a', 'b', 'c', 'dd', 'eee'}}\n\ndef NAME(x):\n    return x + D_NAME['k']",
@@ -56,7 +56,7 @@ ENDS = {  # how the constant, CONSTANT, comes into NAME(x)
     "single dispatch method": "import functools\n\nclass C_NAME:\n    @functools.singledispatchmethod\n    def run(self, x):\n        return -1.0\n    @run.register\n    def _(self, x: float):\n        return x + CONSTANT\n\ndef NAME(x):\n    return C_NAME().run(float(x))",
     "exec": "exec('def NAME(x):\\n    return x + CONSTANT')",
     "exec of a global": "D_NAME = {'K': CONSTANT}\nexec('def one(x):\\n    return x + K', D_NAME)\n\nNAME = D_NAME['one']",
-    "given to a library": "from dask.sizeof import sizeof\n\nclass C_NAME:\n    pass\n\n@sizeof.register(C_NAME)\ndef NAME_size(one):\n    return CONSTANT\n\ndef NAME(x):\n    return x + sizeof(C_NAME())",
+    "given to a library": "from dask.sizeof import sizeof\n\nclass C_NAME:\n    pass\n\n@sizeof.register(C_NAME)\ndef NAME_size(one):\n    return CONSTANT\n\ndel NAME_size\n\ndef NAME(x):\n    return x + sizeof(C_NAME())",
     "class given to a library": "import dask.sizeof\n\n@dask.sizeof.sizeof.register(frozenset)\nclass NAME_size(float):\n    k = CONSTANT\n    def __new__(cls, one):\n        return cls.k\n\ndef NAME(x):\n    return x + dask.sizeof.sizeof(frozenset())",
     "given to what changes": "NAME_all = {}\n\ndef NAME_given(g):\n    NAME_all[g.__name__] = g\n    return g\n\n@NAME_given\ndef NAME_one(x):\n    return x + CONSTANT\n\ndef NAME(x):\n    NAME_all.setdefault('n', 0)\n    return NAME_all['NAME_one'](x)",
     "code replaced": "def NAME_other(x):\n    return x + CONSTANT\n\ndef NAME(x):\n    return x\n\nNAME.__code__ = NAME_other.__code__",
@@ -78,13 +78,13 @@ def unused(x):
 @dataclasses.dataclass
 class Unused:
     k: float = OTHER
+    @numpy.vectorize
+    def unused(self):
+        return OTHER
 @click.command
 @click.option("--k", default=OTHER)
 def command(k):
     print(OTHER)
-@numpy.vectorize
-def vectorised(x):
-    return OTHER
 @linksweep.experiment(outputs={"declared": "m"})
 def declared(x: float):
     return x * OTHER

@@ -36,7 +36,7 @@ EQUAL += [("np.array([[0.0, 1.0], [2.0, 3.0]])", "np.array([[0.0, 2.0], [1.0, 3.
 # What a function makes of equal values is not equal; where code may name anything the module counts as a whole.
 COUNTED = [*((IMPORTS[0], *pair, "copy.deepcopy(V)") for pair in EQUAL), ("import m", "3", "4", "getattr(m, 'V')")]
 COUNTED += [(statement, *use) for use in USES for statement in IMPORTS]
-COUNTED += [("from m import *", "3", "4", body) for body in ("eval('V')", "globals()['V']")]
+COUNTED += [("from m import *", "3", "4", body) for body in ("eval('V')", "s.modules.get(__name__).V")]
 COUNTED = few(2, [COUNTED[2], *COUNTED[3:], *COUNTED[:2]])
 LATE = """
 import helper
@@ -279,7 +279,7 @@ def test_a_value_counts_where_it_is_bound_whoever_imports_it(tmp_path, sweep, st
     body = body.replace("V", "W") if " as W" in statement else body
     inside = "from m import V; " if "def g" in statement else ""
     (tmp_path / "between.py").write_text("from m import *\n")
-    text = f"import copy\n{statement}\ndef f(x: float):\n    {inside}{body}\n    return x\n"
+    text = f"import copy, sys as s\n{statement}\ndef f(x: float):\n    {inside}{body}\n    return x\n"
     (tmp_path / "main.py").write_text(text)
     for there, expected in ((value, 0), (value, 0), (other, 2)):
         needs = "import scipy.stats" if "scipy" in value else "import numpy as np"
