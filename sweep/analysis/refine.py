@@ -91,7 +91,7 @@ class Refinement:
         most = " (--max-realisations allows more)" if what == "realisation" else ""
         for at, known in self.known.items():
             is_whole = self.dataset[self.along].dtype.kind == "i" and (not most or known <= 1.0)
-            why = " (the axis has whole numbers)" if is_whole else most
+            why = " (the axis has whole numbers; written as 0.0 they are floats)" if is_whole else most
             enough, is_enough = wanted * ROUNDING, known <= wanted * ROUNDING
             text = next(t for digits in range(2, 18) if (float(t := f"{known:.{digits}g}") <= enough) == is_enough)
             few = f"Not known{at}: there are too few points, or errors are not known{why}."
