@@ -299,9 +299,8 @@ def numeric_axes(dataset: xr.Dataset, variable: str, kinds: str = "if") -> list[
     """
     dims = [d for d in dataset[variable].dims if d != POINT]
     names = [str(n) for n, c in dataset.coords.items() if c.ndim == 1 and c.dims[0] in dims and c.dtype.kind in kinds]
-    # an axis may have no effect somewhere
-    sizes = {n: int(dataset[n].notnull().sum()) for n in names if dataset[n].size > 1}
-    return sorted(sizes, key=lambda n: (-sizes[n], n not in dims, n))
+    sizes = {n: int(dataset[n].notnull().sum()) for n in names}  # an axis may have no effect somewhere
+    return sorted((n for n in names if sizes[n] > 1), key=lambda n: (-sizes[n], n not in dims, n))
 
 
 def varied_parameters(dataset: xr.Dataset) -> list[str]:

@@ -266,6 +266,7 @@ def draw_panels(
     Panels that would be empty are left out.  Those along ``far`` have axes and units of their own.  If the figure is
     too narrow for the columns, they continue in further rows.
     """
+    has_axis = dataset[variables[0]].size > 1  # that panels share: of one value the x axis is its own
     counts = [*(dataset.sizes[d] for d in dimensions), *([len(variables)] if len(variables) > 1 else [])]
     if len(counts) > 2:
         raise SweepError("several variables leave room for one dimension of panels: fix others by --at AXIS=VALUE")
@@ -279,7 +280,7 @@ def draw_panels(
     figure, grid = style.new_figure(*size, down, across, n=len(panels))
     firsts: dict[tuple[Any, ...], Axes] = {}
     for number, (axes, (part, name, title, shares)) in enumerate(zip(grid, panels, strict=False)):
-        if number:
+        if number and has_axis:
             axes.sharex(grid[0])
         if firsts.setdefault(shares, axes) is not axes:
             axes.sharey(firsts[shares])
@@ -289,7 +290,7 @@ def draw_panels(
         axes.set_title(style.in_lines(title, width))
         # not label_outer: a neighbour may have a scale of its own, and that below may be missing
         has_y = number % across == 0 or panels[number - 1][-1] != shares
-        has_x = number + across >= len(panels)
+        has_x = not has_axis or number + across >= len(panels)
         axes.tick_params(which="both", labelleft=has_y, labelbottom=has_x)
         axes.set_xlabel(style.in_lines(axes.get_xlabel(), width) if has_x else "")
         axes.set_ylabel(style.in_lines(axes.get_ylabel(), height) if has_y else "")
@@ -353,18 +354,22 @@ def _steps(dataset: xr.Dataset, variable: str, *along: str) -> list[str]:
 # Lines
 
 
-def one_axis(dataset: xr.Dataset, variable: str, over: Sequence[str]) -> str:
-    """Return the axis to draw along: the one asked for, or the longest numeric one, or the longest."""
+def one_axis(dataset: xr.Dataset, variables: Sequence[str], over: Sequence[str]) -> str:
+    """Return the axis to draw along, which all variables have: the one asked for, or the longest numeric one of the
+    first, or its longest.
+    """
+    variable, *others = variables
     numeric = quantity.numeric_axes(dataset, variable, "ifM")
     grid = {*dataset["status"].dims} - {POINT}
     axes = [str(n) for n, c in dataset.coords.items() if c.ndim == 1 and c.dims[0] in grid] + numeric
     # names of components only if they are asked for or alone
     further = [d for d in quantity.own_dimensions(dataset, variable) if d in dataset.coords]
     axes += further if over or not axes else []
-    if over and (len(over) > 1 or over[0] not in axes):
+    if not axes or (over and (len(over) > 1 or over[0] not in axes)):
         known = ", ".join(dict.fromkeys(axes)) or "none"
-        raise SweepError(f"{', '.join(over)} is not one axis to draw along; there are {known}")
-    return over[0] if over else (numeric or sorted(axes, key=lambda n: -dataset[n].size))[0]
+        raise SweepError(f"{variable} cannot be drawn along {', '.join(over) or 'any axis'}; its axes are {known}")
+    axis = over[0] if over else (numeric or sorted(axes, key=lambda n: -dataset[n].size))[0]
+    return one_axis(dataset, others, [axis]) if others else axis
 
 
 def _lines_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
@@ -372,7 +377,7 @@ def _lines_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]
         figure = draw_panels(dataset.squeeze(), variables, _draw_point)
         figure.set_figheight(max(1.0 + 0.3 * figure.get_figwidth(), style.in_letters(20.0)))
         return figure
-    axis = one_axis(dataset, variables[0], over)
+    axis = one_axis(dataset, variables, over)
     draw = partial(draw_lines, over=axis, numbers={})
     return draw_panels(dataset, variables, draw, *panel_dimensions(dataset, variables[0], axis))
 
@@ -393,16 +398,15 @@ def draw_lines(axes: Axes, dataset: xr.Dataset, variable: str, over: str, number
     joined = dataset[over].dtype.kind in "ifM" and dimension != POINT and len(x) > 1
     joined = joined and not formatting.is_truth(dataset[variable])
     drawn = series_of(dataset, variable, dimension, numbers=numbers)
-    offsets = _offsets(dataset[variable], drawn)
-    for one, offset in zip(drawn, offsets, strict=True):
-        _draw_series(axes, x, one, variable, offset, joined)
+    offsets = _offsets(dataset[variable], np.array([one[variable].values[np.isfinite(x)] for *_, one in drawn]))
+    moved = [_draw_series(axes, x, one, variable, offset, joined) for one, offset in zip(drawn, offsets, strict=True)]
     colour = style.COLOURS[0] if len(numbers) == 1 else "0.35"
     known = {part for *_, one in drawn for part in quantity.parts_of(one, variable)}
     if "predicted" in known:
         axes.plot([], [], color=colour, label=style.PREDICTED, markersize=WIDEST_DASH, **style.DASH)
     if "published" in known:
         axes.plot([], [], **OPEN, label=style.PUBLISHED)
-    if any(offsets) and not (joined and len(x) > MOST_MARKERS):
+    if any(moved):
         axes.plot([], [], linestyle="none", label=style.MOVED)
     if half := dataset[variable].attrs.get(BAND):
         axes.axhline(0.0, color="black", linewidth=0.6)
@@ -451,28 +455,26 @@ def positions(axes: Axes, dataset: xr.Dataset, axis: str, which: str) -> Array:
     return places
 
 
-def _offsets(array: xr.DataArray, drawn: list[Series]) -> list[float]:
-    """Return by how many points of print the markers of each series are moved aside: 0 unless those of two series cover
-    each other in many places.
+def _offsets(array: xr.DataArray, values: Array) -> list[float]:
+    """Return by how many points of print the markers of each series, of ``values`` (series, points), are moved aside: 0
+    unless those of two series cover each other in many places.
     """
-    if len(drawn) > 1:
-        values = np.stack([one[array.name].values.astype(float) for *_, one in drawn])
-        values = np.log(values) if style.is_logarithmic(array) else values
-        gaps = np.diff(np.sort(values, axis=0), axis=0)
-        covered = gaps[np.isfinite(gaps)] <= COVERED * (np.nanmax(values) - np.nanmin(values))
-        if covered.size and covered.mean() > COVERED_SHARE:
-            outermost = min(ASIDE_PT * (len(drawn) - 1) / 2.0, ASIDE_PT)
-            return list(map(float, np.linspace(-outermost, outermost, len(drawn))))
-    return [0.0] * len(drawn)
+    values = np.log(values) if style.is_logarithmic(array) else values.astype(float)
+    gaps, outermost = np.diff(np.sort(values, axis=0), axis=0), 0.0
+    gaps = gaps[np.isfinite(gaps)]
+    if gaps.size and (gaps <= COVERED * (np.nanmax(values) - np.nanmin(values))).mean() > COVERED_SHARE:
+        outermost = min(ASIDE_PT * (len(values) - 1) / 2.0, ASIDE_PT)
+    return list(map(float, np.linspace(-outermost, outermost, len(values))))
 
 
-def _draw_series(axes: Axes, x: Array, drawn: Series, variable: str, offset: float, joined: bool) -> None:
-    """Draw one series; only its markers, with their error bars, are moved aside."""
+def _draw_series(axes: Axes, x: Array, drawn: Series, variable: str, offset: float, joined: bool) -> bool:
+    """Draw one series, and return whether its markers are moved aside, with their error bars; a line never is."""
     name, mark, one = drawn
     if REFINED in one.attrs and one["status"].shape == x.shape:  # other series have points in between
         there = np.flatnonzero(one["status"].values != Status.EXCLUDED)
         x, one = x[there], one.isel({one["status"].dims[0]: there})
     few, is_line = len(x) <= FEW_POINTS, joined and len(x) > MOST_MARKERS
+    is_aside = offset != 0.0 and not is_line
     parts, colour = quantity.parts_of(one, variable), mark["color"]
     y = parts["value"].values.astype(float)
     sigma = parts["error"].values if "error" in parts and (few or is_line) else None
@@ -509,8 +511,9 @@ def _draw_series(axes: Axes, x: Array, drawn: Series, variable: str, offset: flo
         look = {**OPEN, "marker": mark["marker"], "elinewidth": 0.6, "zorder": 4, "label": f"_{style.PUBLISHED}"}
         moved.append(axes.errorbar(x, parts["published"].values, yerr=half, **look))
     aside = transforms.ScaledTranslation(offset / 72.0, 0.0, axes.figure.dpi_scale_trans)
-    for artist in (one for container in moved for one in container.get_children() if offset and not is_line):
+    for artist in (one for container in moved for one in container.get_children() if is_aside):
         artist.set_transform(artist.get_transform() + aside)
+    return is_aside
 
 
 def _draw_point(axes: Axes, dataset: xr.Dataset, variable: str) -> None:
@@ -533,6 +536,7 @@ def _draw_point(axes: Axes, dataset: xr.Dataset, variable: str) -> None:
     axes.set_yticks([-number for number in range(len(rows))], list(rows))
     axes.set_ylim(0.6 - len(rows), 0.7)
     axes.margins(x=0.35)
+    axes.locator_params(axis="x", nbins=round(style.panel_size(axes)[0] / style.in_letters(8.0 * style.LETTER_WIDTH)))
     style.fit_scale(axes, "x", dataset[variable])
     axes.set_xlabel(style.quantity_label(dataset, variable))
     axes.tick_params(axis="y", length=0.0)
@@ -609,6 +613,9 @@ def _map_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) 
         raise SweepError(f"a map needs two axes that are crossed, of {wanted}; not {got}")
     if len(others := _others(dataset, variable, chosen)) > 2:
         raise _too_many(dataset, others)
+    # points at which an axis has no effect are not on the map
+    dataset = dataset.isel({dataset[axis].dims[0]: dataset[axis].notnull().values for axis in chosen})
+    _require_values(dataset, variables)
     readable = quantity.in_readable_units(dataset)
     draw = partial(draw_map, x=chosen[0], y=chosen[1], limits=colour_limits(readable[variable]))
     figure = draw_panels(readable, variables, draw, others[::-1])
@@ -750,7 +757,7 @@ def _pairs_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]
 
 
 def _curves_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
-    axis = one_axis(dataset, variables[0], over)
+    axis = one_axis(dataset, variables, over)
     return draw_panels(dataset, variables, partial(_draw_curves, over=axis))
 
 
@@ -835,7 +842,8 @@ def _scatter_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[st
     mean, covariance = both.mean(axis=1), np.cov(both)
     sigma = np.sqrt(np.diag(covariance))
     dots: dict[str, Any] = {"color": style.COLOURS[0], "markeredgewidth": 0.0, "alpha": 0.35}
-    axes.plot(*both, ".", label=f"{n} estimates", markersize=float(np.clip(100.0 / np.sqrt(n), 2.0, 5.0)), **dots)
+    axes.plot(*both, ".", markersize=float(np.clip(100.0 / np.sqrt(n), 2.0, 5.0)), **dots)
+    axes.plot([], [], ".", color=style.COLOURS[0], label=f"{n} estimates")  # large enough for the legend
     for confidence, line in ((0.683, "solid"), (0.954, "dashed")):
         look = {"linestyle": line, "label": f"{100 * confidence:.0f} % of their normal law"}
         axes.add_patch(style.confidence_ellipse(mean, covariance, confidence, edgecolor=style.COLOURS[1], **look))
@@ -870,6 +878,8 @@ WORDS = {"first": "first order", "total": "total", "mu_star": r"mean absolute ef
 def sensitivity_figure(dataset: xr.Dataset) -> Figure:
     """Return a figure of indices, lines along a further dimension; raises SweepError where there are more of them."""
     kinds = [name for name in WORDS if name in dataset]
+    if not np.isfinite(dataset[kinds[0]]).any():
+        raise SweepError(f"{dataset.attrs['output']} does not vary: there are no indices to draw")
     further = [str(d) for d in dataset[kinds[0]].dims if d != "parameter" and dataset.sizes[d] > 1]
     dataset = dataset.squeeze([d for d in dataset.dims if d not in ("parameter", *further)])
     if len(further) > 1 or (further and dataset[further[0]].dtype.kind not in "iuf"):

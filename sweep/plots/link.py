@@ -386,7 +386,8 @@ def jackknife_figure(dataset: xr.Dataset) -> Figure:
     for axes, pair in zip(grid, map(list, pairs), strict=True):
         factor, unit = _readable(stretched[:, pair], str(dataset["unit"].values[pair[0]]))
         x, y = factor * stretched[:, pair].T
-        axes.plot(x, y, ".", label="without one source, displacement × √(N − 1)", **dots)
+        axes.plot(x, y, ".", **dots)
+        axes.plot([], [], ".", color=dots["color"], label="without one source, displacement × √(N − 1)")
         for number, kind in enumerate(dataset["error_kind"].values):
             covariance = factor**2 * dataset["covariances"].values[number][np.ix_(pair, pair)]
             if np.all(np.isfinite(covariance)):

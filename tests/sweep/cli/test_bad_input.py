@@ -238,7 +238,7 @@ COMMANDS = [
     *(("new taken", "taken.toml: exists already; take another name"), ("new ../up", "'../up' is no name for a study")),
     *(("new fine no.such:thing", "no.such"), ("new fine math:tau", "math:tau")),
     ("plot STORE --kind map", "no map of share here; possible are lines, law"),
-    ("plot STORE --over length", "length is not one axis to draw along; there are"),
+    ("plot STORE --over length", "share cannot be drawn along length; its axes are"),
     ("plot STORE -o coins.bmp", "coins.bmp: cannot draw there: the name must end with .png, .svg, .pdf"),
     ("plot STORE --kind sky", "no sky and no accuracy here: only studies of the link"),
     ("plot STORE --kind sky --over coins", "do not go with --kind sky"),

@@ -81,11 +81,9 @@ def test_a_study_chooses_and_a_call_overrides_it(tmp_path):
 
 
 def test_series_of_close_values_and_of_times_have_colours_and_names_of_their_own(tmp_path):
-    def flux(mjd: float, period: float):
-        return {"flux": mjd * period}
-
     days = [59000.04, 59000.08, 59000.12]
-    dataset = linksweep.run(flux, tmp_path / "s.zarr", axes={"mjd": days, "period": [1.0, 2.0]}, pool="serial")
+    axes = {"mjd": days, "period": [1.0, 2.0]}
+    dataset = linksweep.run(lambda mjd, period: mjd * period, tmp_path / "s.zarr", axes=axes, pool="serial")
     [axes] = linksweep.plot(dataset, "lines", over="period").axes
     assert len({line.get_color() for line in axes.lines if len(line.get_xdata())}) == 3
     names = axes.get_legend_handles_labels()[1]
@@ -108,9 +106,8 @@ def test_times_along_a_dimension_are_days_in_words_figures_and_options(tmp_path)
 
 
 def test_a_logarithm_needs_numbers_above_zero(tmp_path):
-    dataset = results([0.0, 1.0, 10.0])
     with pytest.raises(linksweep.SweepError, match="x = 0: a logarithmic axis has only numbers above zero"):
-        linksweep.plot(dataset, log=["x"])
+        linksweep.plot(results([0.0, 1.0, 10.0]), log=["x"])
     wrong = {"title": "a", "axes": {"sky_contrast": [0.0, 0.5]}, "figure": {"log": ["sky_contrast", "n_obi"]}}
     with pytest.raises(linksweep.SweepError) as raised:
         linksweep.run(wrong, tmp_path / "a.zarr")
@@ -144,8 +141,7 @@ def test_only_markers_are_moved_aside_and_the_figure_says_so(number):
         [bars], at = one.lines[2], [[x[1], 1.0]]
         assert np.allclose(bars.get_transform().transform(at) - axes.transData.transform(at), shift[0])
     joined = [line for line in axes.lines if line.get_linestyle() == "-" and len(line.get_xdata()) == 5]
-    assert len(joined) == number
-    assert all(np.allclose(pixels(line), true) for line in joined)
+    assert [np.allclose(pixels(line), true) for line in joined] == [True] * number
     assert "markers moved sideways, lines not" in [text.get_text() for text in figure.legends[0].get_texts()]
 
 
@@ -194,21 +190,22 @@ def test_maps_of_truth_values_have_two_colours(tmp_path):
     assert panel.collections[0].get_array().tolist() == ds["result"].values.T.astype(float).tolist()
     assert [text.get_text() for text in bar.get_yticklabels()] == ["False", "True"]
     assert [text.get_text() for text in panel.get_yticklabels()] == ["0", "2", "3"]  # those of a short axis alone
+    gap = ds.assign_coords(x=[0.0, np.nan, 2.0])  # one without an effect of x
+    assert linksweep.plot(gap, "map").axes[0].collections[0].get_array().shape == (3, 2)
 
 
 def test_a_series_over_days_is_a_line_over_days(tmp_path):
     days = np.datetime64("2024-01-01", "ns") + np.arange(60) * np.timedelta64(1, "D")
-
-    def tide(rate: float = 1.0):
-        return xr.DataArray(np.cos(rate * np.arange(60) / 9.0), {"day": days}, ("day",), "height")
-
-    ds = linksweep.run(tide, tmp_path / "s.zarr", axes={"rate": [1.0, 2.0]}, pool="serial")
+    tide = xr.DataArray(np.cos(np.arange(60) / 9.0), {"day": days}, ("day",), "height")
+    ds = linksweep.run(lambda rate: rate * tide, tmp_path / "s.zarr", axes={"rate": [1.0, 2.0]}, pool="serial")
     [axes] = linksweep.plot(ds).axes
     for line, values in zip(axes.lines, ds["height"].transpose("rate", "day").values, strict=False):
         assert np.array_equal(np.diff(line.get_xdata()), np.ones(59))
         assert np.array_equal(line.get_ydata(), values)
     with pytest.raises(linksweep.SweepError, match="'day' is no axis with several numbers"):
         linksweep.find(ds, "height > 0", over="day")
+    with pytest.raises(linksweep.SweepError, match="first cannot be drawn along day; its axes are rate"):
+        linksweep.plot(ds.assign(first=ds.height[:, 0].drop_vars("day")), variables=["height", "first"])
 
 
 @pytest.mark.parametrize(("kind", "year"), [("axes", 2024), ("points", 2024), ("axes", 1600)])
@@ -227,11 +224,12 @@ def test_a_study_names_a_date_of_its_figure_and_a_legend_its_times(tmp_path):
     assert set(axes["start"]) <= set(panel.get_legend_handles_labels()[1])
 
 
-@pytest.mark.parametrize("value", [2.5, xr.DataArray([1.0, -2.0, 3.0], {"band": ["U", "B", "V"]})])
+@pytest.mark.parametrize("value", [{"a": 2.5, "b": -7e6}, {"a": xr.DataArray([1.0, -2.0], {"band": ["U", "B"]})}])
 def test_a_study_without_axes_has_a_figure(tmp_path, value):
-    [axes] = linksweep.plot(linksweep.run(lambda: value, tmp_path / "s.zarr", pool="serial")).axes
-    line = axes.lines[0]
-    assert (line.get_xdata() if np.ndim(value) == 0 else line.get_ydata()).tolist() == np.atleast_1d(value).tolist()
+    panels = linksweep.plot(linksweep.run(lambda: value, tmp_path / "s.zarr", pool="serial"), variables=[*value]).axes
+    for line, one in zip((axes.lines[0] for axes in panels), value.values(), strict=True):
+        assert (line.get_xdata() if np.ndim(one) == 0 else line.get_ydata()).tolist() == np.atleast_1d(one).tolist()
+    assert len({axes.get_xlim() for axes in panels}) == len(panels)
 
 
 @pytest.mark.parametrize("known", [False, True])
