@@ -1,5 +1,6 @@
 """A store made by other code is refused, continued on request, or replaced; the same code in any words is not."""
 
+import contextlib
 import functools
 import importlib
 import json
@@ -53,15 +54,13 @@ class B:
 class B2: z = 1.0
 class C(B): k = 1.0
 c, K, ALL = C(), 1.0, {"a": max}
-def f(x: float):
-    return x * K * c.k * C.k + len(ALL) + ALL["a"]([0.0]) * 0 + getattr(c, "z", 0.0) + c.first
+def f(x: float): return x * K * c.k * C.k + len(ALL) + ALL["a"]([0.0]) * 0 + getattr(c, "z", 0.0) + c.first
 """
 NAMED = {"h.K = 4.0": "value h.K", "h.c.k = 4.0": "value h.c", "h.C.k = 4.0": "value h.C.k ("}
 NAMED |= {"h.ALL['a'] = sum": "value h.ALL", "h.C.__bases__ = (h.B2,)": "class h.C"}
 DECLARED = """
-import threading
+import threading, linksweep
 from pathlib import Path
-import linksweep
 L = threading.Lock()
 T = [eval("lambda x: x", {"__name__": None})]
 @linksweep.experiment(reads=["READS"])
@@ -81,18 +80,14 @@ def f(x: float):
     return x * float(FILE.read_text())
 """
 EXECUTED = """
-import enum
-import linksweep
+import enum, linksweep
 K, gathered = {"k": 2}, {}
-class Colour(enum.Enum):
-    RED, BLUE = 1, 2
-def f(c, x: int):
-    return c.value * x * K["k"]
+class Colour(enum.Enum): RED, BLUE = 1, 2
+def f(c, x: int): return c.value * x * K["k"]
 def run(n):
     gathered[n] = linksweep.run(f, "s.zarr", axes={"c": list(Colour), "x": list(range(n))}, pool="serial")
     return gathered[n].f.values.sum()
-if __name__ == "__main__":
-    first = [run(n) for n in (2, 3)][-1]
+if __name__ == "__main__": first = [run(n) for n in (2, 3)][-1]
 """
 SETS = "import decimal\ndecimal.getcontext().prec = "
 ACTS = {"set_a.py": f"{SETS}4\n", "set_b.py": f"{SETS}8\n", "by_b.py": "import set_b\n"}  # on others, by file
@@ -303,12 +298,17 @@ def test_a_function_that_a_notebook_reloads_by_itself_is_that_of_its_file(tmp_pa
 
 
 def test_a_module_is_the_same_code_where_python_executes_it_whatever_it_gathers_in_a_loop(tmp_path, monkeypatch):
-    (tmp_path / "executed.py").write_text(EXECUTED)
+    (tmp_path / "pk").mkdir()
+    (tmp_path / "pk" / "executed.py").write_text(EXECUTED)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.chdir(tmp_path)
-    for _ in range(2):
-        assert runpy.run_module("executed", run_name="__main__", alter_sys=True)["first"] == 18
-        assert importlib.import_module("executed").run(4) == 36
+    for here in ("1", "1", "1 + 1"):
+        (tmp_path / "pk" / "__init__.py").write_text(f"import enum\nenum.here = {here}\n")
+        with pytest.raises(linksweep.SweepError, match="mixed up with") if "+" in here else contextlib.nullcontext():
+            assert runpy.run_module("pk.executed", run_name="__main__", alter_sys=True)["first"] == 18
+            assert importlib.import_module("pk.executed").run(4) == 36
+        for name in [name for name in sys.modules if name.partition(".")[0] == "pk"]:
+            del sys.modules[name]
 
 
 @pytest.mark.parametrize("last", ["import set_b", slow("import by_b"), "decimal.getcontext().prec = 9"])
