@@ -162,6 +162,11 @@ def _where_known(dataset: xr.Dataset, variable: str) -> xr.Dataset:
     return dataset
 
 
+def _with_effect(dataset: xr.Dataset, axes: Sequence[str]) -> xr.Dataset:
+    """Return a dataset without the points at which one of some axes has no effect."""
+    return dataset.isel({dataset[axis].dims[0]: dataset[axis].notnull().values for axis in axes})
+
+
 def _suitable(dataset: xr.Dataset, variable: str, over: Sequence[str]) -> str:
     array, numeric = dataset[variable], quantity.numeric_axes(dataset, variable)
     if _has_points(dataset, variable):
@@ -556,7 +561,7 @@ def _law_figure(dataset: xr.Dataset, variables: list[str], along: Sequence[str])
     over = quantity.require_axis(dataset, variable, (list(along) or quantity.numeric_axes(dataset, variable))[0])
     if linear := [name for name in (over, variable) if dataset[name].attrs.get(style.SCALE) == "linear"]:
         raise SweepError(f"a law is drawn on logarithmic axes, and {linear[0]} is to have a linear one")
-    dataset = quantity.in_readable_units(dataset)
+    dataset = quantity.in_readable_units(_with_effect(dataset, [over]))
     drawn = series_of(dataset, variable, str(dataset[over].dims[0]))
     lines = [line for line in laws.lines(dataset, variable, over).lines if len(line.x)]
     result = laws.fit_power_law(dataset, variable, over)
@@ -613,8 +618,7 @@ def _map_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) 
         raise SweepError(f"a map needs two axes that are crossed, of {wanted}; not {got}")
     if len(others := _others(dataset, variable, chosen)) > 2:
         raise _too_many(dataset, others)
-    # points at which an axis has no effect are not on the map
-    dataset = dataset.isel({dataset[axis].dims[0]: dataset[axis].notnull().values for axis in chosen})
+    dataset = _with_effect(dataset, chosen)
     _require_values(dataset, variables)
     readable = quantity.in_readable_units(dataset)
     draw = partial(draw_map, x=chosen[0], y=chosen[1], limits=colour_limits(readable[variable]))
