@@ -111,8 +111,9 @@ class Goal:
     def value(self, matrices: Array) -> float:
         """Return the criterion of sums as in `covariance_of`; infinite where they do not determine the unknowns."""
         covariance = covariance_of(matrices)[np.ix_(self.parts, self.parts)]
-        value = np.trace(covariance) if self.criterion == "A" else np.linalg.slogdet(covariance)[1]
-        return float(np.inf if np.isnan(value) else value)
+        if not np.all(np.isfinite(covariance)):
+            return np.inf
+        return float(np.trace(covariance) if self.criterion == "A" else np.linalg.slogdet(covariance)[1])
 
 
 def choose(now: NormalSums, new: NormalSums, number: int, goal: Goal) -> tuple[list[int], Array]:

@@ -50,6 +50,7 @@ LARGER = {
     1.0 / 15.0: "an angle taken for time: 1 s is 15 arcsec",
     1.0 / 1.5e4: "mas taken for seconds of time",
 }
+RATES = {365.25: "per day taken for per year", 0.01: "per century taken for per year"}
 # No star has a larger parallax (Proxima: 769 mas) or proper motion (Barnard's star: 10 400 mas/yr).
 LARGEST = {"mas": 1000.0, "mas/yr": 12_000.0, "mas/yr2": 300.0, "mas/yr3": 300.0}
 
@@ -141,7 +142,8 @@ def misfit(problem: Problem, kept: Indices, solution: Solution, names: Names) ->
         worst = max(groups, key=lambda group: group.squares)
         asked = " (are these quasars?)" * bool(np.any(problem.rows.at_rest[list(worst.rows)] & worst.part.at))
         said = f"chi2 is {ratio:.3g} times its expectation, most of it in {worst.words}{asked}"
-        cause = _excess(problem, ratio) if most > len(solution.estimate) else UNEXPLAINED
+        determined = most > len(solution.estimate) and np.isfinite(_ratio(problem))  # also by the sources examined
+        cause = _excess(problem, ratio) if determined else UNEXPLAINED
         return Misfit(ratio, f"{said}; {cause}", ratio > EXCESS or cause != UNEXPLAINED)
     low = [one for one in groups if one.squares < 0.1 * one.expected and chdtr(one.dof, one.squares) < CHANCE]
     if ratio >= DEFICIT or chdtr(solution.dof, solution.squares) > 100.0 * CHANCE:
@@ -403,7 +405,7 @@ def _corrections(problem: Problem, table: str) -> Iterator[tuple[str, int, Chang
     if table != "satellite":
         mean = "mean positions of {} taken as those of a single epoch, or the other way round"
         yield mean, 0, _changed(["apparent"], np.logical_not)
-    for ratio, unit, name, rows in _in_units(SMALLER | LARGER, NOT_POSITIONS):
+    for ratio, unit, name, rows in _in_units(SMALLER | LARGER | RATES, NOT_POSITIONS):
         yield f"{name} of {{}}, {unit}", 0, _scaled(rows, ratio, values=True)
         yield f"{name} and their errors of {{}}, {unit}", 0, _scaled(rows, ratio, values=True, errors=True)
     if table == "satellite" and problem.satellite.further is not None:
@@ -413,9 +415,11 @@ def _corrections(problem: Problem, table: str) -> Iterator[tuple[str, int, Chang
 
 
 def _in_units(factors: dict[float, str], quantities: dict[str, Rows]) -> Iterator[tuple[float, str, str, Rows]]:
-    """Yield each factor with its unit, and each quantity: units of time only for one along right ascension."""
+    """Yield each factor with its unit, and each quantity: units of time only for one along right ascension, and of
+    rates only for motions.
+    """
     for (factor, unit), (name, rows) in product(factors.items(), quantities.items()):
-        if "time" not in unit or rows in ((0,), (3,)):
+        if ("time" not in unit or rows in ((0,), (3,))) and ("year" not in unit or min(rows) > 2):
             yield factor, unit, name, rows
 
 

@@ -964,8 +964,8 @@ def _huber(sources: Sources, c: Any) -> Clipped:
 def _one_by_one(sources: Sources, number: Any) -> Clipped:
     """Drop the source with the largest Q_i/n_i, solve again, and so on.
 
-    The trajectory goes on beyond the step that is chosen: after ``number`` sources, or the first at which the largest
-    Q_i is not significant among so many.
+    The step that is chosen is that after ``number`` sources, or the first at which the largest Q_i is not significant
+    among so many.  The trajectory goes on beyond it where the sums of sources are kept.
     """
     used = sources.count > 0
     factors = used.astype(np.float64)
@@ -976,6 +976,8 @@ def _one_by_one(sources: Sources, number: Any) -> Clipped:
         worst = int(np.argmax(np.where(factors > 0.0, squares / np.maximum(sources.count, 1.0), -1.0)))
         if chosen is None and chdtrc(sources.count[worst], squares[worst]) * factors.sum() > SIGNIFICANCE:
             chosen = len(trajectory) - 1
+        if sources.sums is None and chosen == len(trajectory) - 1:
+            break  # a further step is a pass over the table
         factors[worst] = 0.0
         try:
             solution = sources.solve(factors)

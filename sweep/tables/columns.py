@@ -65,7 +65,8 @@ _UNITS = {
     **dict.fromkeys(("ra", "dec", "parallax", "calibrator"), "mas"),
     **dict.fromkeys(("pmra", "pmdec"), "mas / yr"),
     **dict.fromkeys(ACCELERATIONS[:2], "mas / yr2") | dict.fromkeys(ACCELERATIONS[2:], "mas / yr3"),
-    **{"ref_epoch": "yr", "radial_velocity": "km / s"},
+    **{"ref_epoch": "yr", "radial_velocity": "km / s", "ecl_lat": "deg"},
+    **dict.fromkeys(("nu_eff_used_in_astrometry", "pseudocolour"), "1 / um"),
 }
 
 ALONG_RA = ("ra", "ra_error", "pmra", "pmra_error")
@@ -282,12 +283,10 @@ class Columns:
         return values
 
     def epochs(self) -> Array:
-        """Return the epochs (years, MJD, JD, dates or times) as Julian years, NaN where they are missing; rows with
-        none, or with what is no epoch, are a problem.
-        """
+        """Return the epochs as Julian years; rows with none, or with what is no epoch, are a problem."""
         name = str(self.name("ref_epoch"))
         known = len(self.problems)
-        years = self._julian_years(name)
+        years = self.julian_years(name)
         if len(self.problems) == known:
             self.check(np.isnan(years), f"no epoch (column {name!r})")
             wrong = f"an epoch (column {name!r}) that is no Julian year, MJD or JD from {EPOCHS[0]:g} to {EPOCHS[1]:g}"
@@ -410,7 +409,8 @@ class Columns:
         values = (first + minutes / 60.0 + seconds / 3600.0) * np.where(in_hours, 15.0, 1.0)
         return np.asarray(values.where(~parts["sign"].isin(["-", "\u2212"]), -values).where(there), dtype=np.float64)
 
-    def _julian_years(self, name: str) -> Array:
+    def julian_years(self, name: str) -> Array:
+        """Return a column of epochs in any form (years, MJD, JD, dates or times) as Julian years, NaN where missing."""
         from astropy.time import Time
 
         column = self.table[name]

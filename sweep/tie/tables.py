@@ -306,7 +306,7 @@ def _zero_points(read: Columns, epoch: Array) -> Array:
     if there != "dr3":
         read.problems.append(f"parallax zero points are those of dr3, and the epochs are of {there}")
     elif sum(read.require(name) for name in ZERO_POINT) == len(ZERO_POINT):
-        columns = np.array([read.numbers(str(read.name(name))) for name in ZERO_POINT])
+        columns = np.array([read.quantity(name, "allowed") for name in ZERO_POINT])
         known = np.isin(columns[-1], (31, 95))
         zpt.load_tables()
         shift[known] = zpt.get_zpt(*columns[:, known], _warnings=False)
@@ -701,7 +701,8 @@ def read_observations(path: Path) -> tuple[Any, list[str]]:
             frame[name] = read.text(name)
         several = [name for name in units if frame[name].dtype == object]
         frame = (frame.explode(several) if several else frame).astype(dict.fromkeys(units, np.float64))
-        for name, (unit, used, *_) in units.items():
+    for name, (unit, used, *_) in units.items():
+        with refused(ValueError, TypeError, said=f"column {name!r}: ", where=path):
             frame[name] *= Unit(table[name].unit or unit).to(used)
     frame["used_by_agis_al"] = frame["used_by_agis_al"].isin([1.0, ord("T")])  # the letter in FITS
     frame, known = frame[frame["used_by_agis_al"]], [name for name in units if name not in ("ra0", "dec0")]
@@ -825,7 +826,7 @@ def _orbits(place: Mapping[str, int], path: Path, epoch: float, notes: list[str]
     read.finish()
     days = [read.numbers(name) * Unit(table[name].unit or "d").to("d") for name in ("period", "t_periastron")]
     period, time, e = days[0] / core.DAYS_PER_YEAR, days[1], read.numbers("eccentricity")
-    start = read.numbers("ref_epoch") if "ref_epoch" in table.colnames else epoch
+    start = read.julian_years("ref_epoch") if "ref_epoch" in table.colnames else epoch
     julian = 2000.0 + (time - np.where(time > archives.JD_FROM, 2451545.0, 51544.5)) / core.DAYS_PER_YEAR
     periastron = np.where(time > archives.MJD_FROM, julian, start + time / core.DAYS_PER_YEAR) - epoch
     planes = []

@@ -178,6 +178,7 @@ def orbits(folder, names, campbell=False):
     table["period"], table["eccentricity"], table["ref_epoch"] = ORBIT[0] * 365.25, ORBIT[1], EPOCH - 1.5 * campbell
     table["t_periastron"] = (ORBIT[2] + EPOCH - table["ref_epoch"]) * 365.25
     if campbell:
+        table["ref_epoch"] = 2451545.0 + 365.25 * (table["ref_epoch"] - 2000.0)
         for name, angle in (("nodeangle", NODE), ("inclination", INCLINATION), ("arg_periastron", PERIASTRON)):
             table[name] = np.degrees(angle)
     for letter, value in zip("" if campbell else "abfg", () if campbell else ORBIT[3:], strict=True):
@@ -288,6 +289,7 @@ REFUSALS = {  # what changes tables, or options; and the words of an error
     "negative noise": (times("agis_source_excess_noise", 1.0, -0.5), "agis_source_excess_noise outside 0"),
     "a late correction": (put("obs_time_bary_corr", 3, 1e15), r"obs_time_bary_corr outside -6e\+11\.\..* in row 4$"),
     "an infinite centroid": (put("centroid_pos_al", (3, 1), np.inf), "centroid_pos_al outside .* in row 4$"),
+    "a unit": (lambda sky: setattr(sky.scans["ra0"], "unit", "m"), "column 'ra0': 'm'.* and 'rad'"),
     "a row's origin": (put("ra0", 3, 10.0), f"ra0 changes within {10**17}$"),
     "a row's noise": (put("agis_source_excess_noise", 3, 0.5), f"agis_source_excess_noise changes within {10**17}$"),
     "other stars": (times("source_id", 1, 5000 - 10**17), "no source 5000, 5007"),

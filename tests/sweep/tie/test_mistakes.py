@@ -109,6 +109,7 @@ MISTAKES = {
     "epochs equal": ("reference", {"ref_epoch": lambda table: 2016.0}, "epochs of .* equal"),
     "parallax in arcsec": ("satellite", scaled(["parallax"], 1e-3), "parallaxes of the satellite, arcsec taken"),
     "motions in arcsec there": ("reference", scaled(MOTIONS, 1e-3), "proper motions of the reference, arcsec taken"),
+    "motions per 100 yr there": ("reference", scaled(MOTIONS, 100.0), "motions of the reference, per century taken"),
     "position errors in deg": ("satellite", scaled(POSITIONS, 1.0 / 3.6e6), "deg taken for mas"),
     "errors of ra in seconds": ("reference", scaled(["ra_error"], 1.0 / 1.5e4), "errors of ra.*(seconds of t|no inst)"),
     "errors in mas declared as deg": ("reference", DECLARED, "mas taken for deg"),

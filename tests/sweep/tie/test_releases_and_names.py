@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from astropy.table import Table
+from astropy.table import Column, Table
 
 import linksweep
-from linksweep.core.frames import ARCSEC, MAS
+from linksweep.core.frames import ARCSEC, DEGREE, MAS
 from linksweep.core.tie.astrometry import propagated
 from linksweep.sweep.tie.tables import TableOptions, read_table
 from tests.core.tie.made import POSITION, gaia, gaia_table, only, random_correlations, seen_by_satellite, stars
@@ -172,7 +172,8 @@ def test_parallaxes_are_those_of_the_authors_package(tmp_path):
     columns["nu_eff_used_in_astrometry"] = np.where(six, np.nan, rng.uniform(1.2, 1.8, 30))
     columns["pseudocolour"] = np.where(six, rng.uniform(1.25, 1.7, 30), np.nan)
     columns |= {"ecl_lat": rng.uniform(-90.0, 90.0, 30), "astrometric_params_solved": solved}
-    found = read_table(gaia(tmp_path / "gaia.ecsv", made, **columns), TableOptions(parallax_zero_point=True))
+    table = gaia(tmp_path / "gaia.ecsv", made, **columns | {"ecl_lat": Column(columns["ecl_lat"] * DEGREE, unit="rad")})
+    found = read_table(table, TableOptions(parallax_zero_point=True))
     zpt.load_tables()
     for k in range(30):
         wanted = 0.0 if k in (4, 5) else zpt.get_zpt(*(column[[k]] for column in columns.values()))[0]

@@ -19,7 +19,8 @@ OF_ALL = {"unknowns": "spin", "degree": 2, "clip": "median:5", "errors": "cells"
 OPTIONS = [
     *(OF_ALL, {"unknowns": "spin,glide", "clip": "rayleigh", "errors": "sandwich,bootstrap"}),
     {"unknowns": "spin", "clip": "huber:3", "weights": "variance", "bins": ("phot_g_mean_mag", [17.0, 19.0])},
-    *({"known_spin": SPIN}, {"unknowns": "spin", "jitter": {"motion": (0.0, 0.4)}}),
+    *({"known_spin": SPIN, "clip": "discrepancy:2"}, {"unknowns": "spin", "jitter": {"motion": (0.0, 0.4)}}),
+    {"unknowns": "spin", "bins": ("phot_g_mean_mag", [20.995])},  # two are fainter, and not both examined for mistakes
 ]
 
 
