@@ -166,9 +166,8 @@ class MagnitudeErrors(ErrorModel):
 
     def at(self, v_mag: Array) -> tuple[Array, Array]:
         """Return the curve at each magnitude."""
-        sigmas = self.mission.sigma_pos_mas, self.mission.sigma_pm_mas_yr
-        position, motion = (sigma(v_mag, self.mission_length_yr) for sigma in sigmas)
-        return position, motion
+        mission, years = self.mission, self.mission_length_yr
+        return mission.sigma_pos_mas(v_mag, years), mission.sigma_pm_mas_yr(v_mag, years)
 
     def at_magnitude(self, v_mag: float) -> tuple[float, float]:
         """Return the curve at one magnitude, computed once for all scales: a grid has a million points."""
@@ -269,10 +268,8 @@ def error_models(point: Point) -> list[ErrorModel]:
 
 @lru_cache(maxsize=2**16)
 def _at_magnitude(mission: Mission, length_yr: float | None, v_mag: float) -> tuple[float, float]:
-    model = MagnitudeErrors(mission, length_yr)
     with np.errstate(all="ignore"):  # far beyond its range a curve is infinite, which is refused later
-        position, motion = model.at(np.array(v_mag))
-    return float(position), float(motion)
+        return ErrorModel.at_magnitude(MagnitudeErrors(mission, length_yr), v_mag)
 
 
 # Cached: every point of a grid asks, and a user's function may take long.

@@ -65,8 +65,9 @@ _UNITS = {
     **dict.fromkeys(("ra", "dec", "parallax", "calibrator"), "mas"),
     **dict.fromkeys(("pmra", "pmdec"), "mas / yr"),
     **dict.fromkeys(ACCELERATIONS[:2], "mas / yr2") | dict.fromkeys(ACCELERATIONS[2:], "mas / yr3"),
-    **{"ref_epoch": "yr", "radial_velocity": "km / s", "ecl_lat": "deg"},
+    **{"ref_epoch": "yr", "radial_velocity": "km / s", "period": "d", "t_periastron": "d"},
     **dict.fromkeys(("nu_eff_used_in_astrometry", "pseudocolour"), "1 / um"),
+    **dict.fromkeys(("nodeangle", "inclination", "arg_periastron", "ecl_lat"), "deg"),
 }
 
 ALONG_RA = ("ra", "ra_error", "pmra", "pmra_error")

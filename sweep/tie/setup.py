@@ -259,7 +259,7 @@ def _resting(stars: Astrometry, rows: Astrometry, source: Indices) -> list[str]:
     if len(observed) < 5:
         return []
     values, errors = (one[2:, observed][stars.present[2:, observed]] for one in (stars.values, stars.errors))
-    if not np.sum((values / errors) ** 2) < 4.0 * len(values):
+    if not np.sum((values / np.maximum(errors, 1e-9 * MAS)) ** 2) < 4.0 * len(values):  # exact ones have errors of 0
         return []
     said = "positions of a single epoch are displaced by parallaxes, and these sources have none, nor motions"
     return [f"{said}: if they are quasars, say --extragalactic reference"]

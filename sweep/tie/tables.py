@@ -824,8 +824,8 @@ def _orbits(place: Mapping[str, int], path: Path, epoch: float, notes: list[str]
     for name in ("period", "eccentricity", "t_periastron", *chain(*shapes), *([] if star else ["source_id"])):
         read.require(name)
     read.finish()
-    days = [read.numbers(name) * Unit(table[name].unit or "d").to("d") for name in ("period", "t_periastron")]
-    period, time, e = days[0] / core.DAYS_PER_YEAR, days[1], read.numbers("eccentricity")
+    days, time, e = (read.quantity(name, "allowed") for name in ("period", "t_periastron", "eccentricity"))
+    period = days / core.DAYS_PER_YEAR
     start = read.julian_years("ref_epoch") if "ref_epoch" in table.colnames else epoch
     julian = 2000.0 + (time - np.where(time > archives.JD_FROM, 2451545.0, 51544.5)) / core.DAYS_PER_YEAR
     periastron = np.where(time > archives.MJD_FROM, julian, start + time / core.DAYS_PER_YEAR) - epoch
@@ -833,7 +833,7 @@ def _orbits(place: Mapping[str, int], path: Path, epoch: float, notes: list[str]
     if THIELE_INNES in shapes:
         planes.append(np.array([read.numbers(name) for name in THIELE_INNES]).T.reshape(-1, 2, 2))
     if CAMPBELL in shapes:
-        angles = [read.numbers(name) * Unit(table[name].unit or "deg").to("rad") for name in CAMPBELL]
+        angles = [read.quantity(name, "allowed", DEGREE) for name in CAMPBELL]
         planes.append(Rotation.from_euler("ZXZ", np.array(angles).T).as_matrix()[:, :2, :2].swapaxes(1, 2))
     whole = np.isfinite(np.array(planes)).all(axis=(2, 3)) & np.any(planes, axis=(2, 3))
     plane = np.where(whole[..., None, None], planes, np.eye(2))
