@@ -106,7 +106,7 @@ MISTAKES = {
     "half a year early there": ("reference", epochs_moved(-0.5), "epochs of the reference 0.5 years too early"),
     "a quarter year late there": ("reference", epochs_moved(0.25), "epochs of the reference 0.25 years too late"),
     "epochs cut": ("reference", {"ref_epoch": lambda t: np.floor(t["ref_epoch"])}, "epochs .* in steps of 1 yr"),
-    "epochs equal": ("reference", {"ref_epoch": lambda table: 2016.0}, "epochs of .* equal"),
+    "epochs equal": ("reference", {"ref_epoch": lambda t: 0.0 * t["ref_epoch"] + 2016.0}, "epochs of .* equal"),
     "parallax in arcsec": ("satellite", scaled(["parallax"], 1e-3), "parallaxes of the satellite, arcsec taken"),
     "motions in arcsec there": ("reference", scaled(MOTIONS, 1e-3), "proper motions of the reference, arcsec taken"),
     "motions per 100 yr there": ("reference", scaled(MOTIONS, 100.0), "motions of the reference, per century taken"),
@@ -134,8 +134,7 @@ def with_mistakes(n, seed, *mistakes):
         if callable(change):
             change(tables[side], np.random.default_rng(seed))
         else:
-            for name, column in {name: column(tables[side]) for name, column in change.items()}.items():
-                tables[side][name] = column
+            tables[side].update({name: column(tables[side]) for name, column in change.items()})
     return tables.values()
 
 
