@@ -299,12 +299,10 @@ def study_differences(attributes: Mapping[str, Any], study: Study, keep: bool = 
         if (keep and one.may_be_axis) or code.get(f"default of {one.name}", text) != text:
             axes.add(one.name)
     defaults = json.loads(json.dumps(study.experiment.defaults(), default=content_digest))
-    pairs = [(key, old.get(key, "absent"), new.get(key, "absent")) for key in sorted({*old, *new} - {"fixed"})]
-    pairs += [
-        (f"fixed.{name}", old["fixed"].get(name, defaults.get(name)), new["fixed"].get(name, defaults.get(name)))
-        for name in sorted({*old["fixed"], *new["fixed"]} - axes)
-    ]
-    return _differing({key: (was, now) for key, was, now in pairs})
+    names = sorted({*old["fixed"], *new["fixed"]} - axes)
+    was, now = defaults | old.pop("fixed"), defaults | new.pop("fixed")
+    pairs = {key: (old.get(key, "absent"), new.get(key, "absent")) for key in sorted({*old, *new})}
+    return _differing(pairs | {f"fixed.{name}": (was.get(name), now.get(name)) for name in names})
 
 
 def _differing(pairs: Mapping[str, tuple[Any, Any]]) -> list[str]:
@@ -331,9 +329,8 @@ def check_points(stored: Study, study: Study, where: str) -> None:
     if changed is not None:
         row, name = changed
         pairs = {f"points, row {row + 1}, {name}": (was[name][row], now[name][row])}
-        for key, one in before.origin.items():
-            if key in ("design", "n", "seed", "ranges"):
-                pairs[f"points.{key}"] = one, points.origin.get(key)
+        about = [key for key in ("design", "n", "seed", "ranges") if key in before.origin]
+        pairs |= {f"points.{key}": (before.origin[key], points.origin.get(key)) for key in about}
         rule = "a table may only grow at its end: give another store with -o, or --fresh replaces this one"
         raise SweepError([f"holds a table of other points; {rule}", *_differing(pairs)], where)
 

@@ -580,9 +580,8 @@ def _flags(node: ast.expr, read: Columns) -> Flags:
         right, compare = _operand(other, read, is_in), _COMPARISONS.get(type(comparison))
         if compare is None or (left.kind != right.kind and "text" in (left.kind, right.kind)):
             none = "; None is where not {0} == {0}".format(ast.unparse(node.left)) if np.any(left.missing) else ""
-            quotes = f" (text is in quotes, '1'{none})" if "text" in (left.kind, right.kind) else ""
-            said = f"{left.kind} cannot be compared with {right.kind} in this way{quotes}"
-            raise ValueError(f"{said}, {ast.unparse(node)}")
+            hint = f" (text is in quotes, '1'{none})" if "text" in (left.kind, right.kind) else ""
+            raise ValueError(f"{left.kind} cannot be compared with {right.kind} in this way{hint}, {ast.unparse(node)}")
         flags &= compare(left.values, right.values) & np.logical_not(left.missing | right.missing)
         left = right
     return flags
