@@ -92,7 +92,8 @@ class _Points:
         share = np.minimum(realisations / np.maximum(self.wanted, 1.0), 1.0)
         if self.is_adaptive and not is_new(opened.root):
             dataset = opened.dataset().transpose(*self.grid.dimensions, ...)
-            share[dataset["status"].values.reshape(-1) == DONE] = 1.0
+            done = dataset["status"].values.reshape(-1) == DONE  # perhaps beside blocks of a run without a precision
+            share[done], realisations[done] = 1.0, dataset["n_sim_done"].values.reshape(-1)[done]
         at = self.find(_numbers(failed)[:, 0])
         status = np.select([self.wanted == 0.0, share == 1.0], [EXCLUDED, DONE], MISSING).astype(np.int8)
         status[at[at >= 0]], share[at[at >= 0]] = FAILED, 0.0
