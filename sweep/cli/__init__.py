@@ -191,12 +191,12 @@ STUDY = arg(shell_complete=_studies)
 AT = many("Only this part of the grid, e.g. model=gaia,v_max=16.", metavar="AXIS=VALUE")
 JSON = flag("Print JSON for a script.", "--json")
 BREAK_LOCK = flag("Continue although another host seems to write to the store; make sure that it does not.")
-ACCEPT_CODE = flag("Take points that other code made; each records which code made it.")
-TRUST = flag("Run code that is inside a store, or that one from elsewhere names.")
+ACCEPT_CODE = flag("Continue with points that other code made; each records which code made it.")
+TRUST = flag("Allow code that is inside a store, or that a store from elsewhere names.")
 AXES = many(
     "Override or add an axis: 14:20:0.5, 0:1:lin5, 1:9:log3.", "--axis", shell_complete=_keys, metavar="NAME=SPEC"
 )
-SETTINGS = many("Override a value, e.g. n_sim=500.", "--set", metavar="KEY=VALUE", shell_complete=_keys)
+SETTINGS = many("Set a parameter or key of sampling: n_sim=500.", "--set", metavar="KEY=VALUE", shell_complete=_keys)
 DESIGNS = "e.g. sobol:256 or sobol:256:SEED; latin-hypercube, halton, random, saltelli, morris."
 
 
@@ -215,7 +215,7 @@ def _part(text: str) -> "Part":
 
 
 PART = opt(
-    "Compute part K of N alone, into STORE.part-K-of-N; array: that of this task of a SLURM job array.",
+    "Compute only part K of N, into STORE.part-K-of-N; array: the part of this task of a SLURM job array.",
     metavar="K/N|array",
     callback=_part,
 )
@@ -416,12 +416,13 @@ class _Group(click.Group):
 @click.group(cls=_Group, context_settings={"help_option_names": ["-h", "--help"], "color": True})
 @click.version_option(package_name="linksweep", prog_name="linksweep")
 def main() -> None:
-    """Sweep Monte-Carlo simulations of a satellite's link to the extragalactic frame.
+    """Sweep Python functions, or Monte-Carlo simulations of a satellite's link, over grids of parameters.
 
     \b
     sweep run quasars        the paper's Table 1, beside the published one
     sweep list               the other built-in studies
     sweep new mine           a study of your own to start from
+    sweep run FILE.py:FUNCTION --axis x=0:1:0.1    a function of your own
     """
 
 

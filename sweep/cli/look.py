@@ -80,14 +80,14 @@ def show(
     store: "Location" = STORE,
     table_format: str = choice("", ("text", "csv", "ecsv"), "--format", default="text"),
     at: At = AT,
-    stars: bool = flag("Of a link, a row for each source: Q/n, Cook's distance, share, jackknife shift."),
+    stars: bool = flag("For a link: a row for each source, with Q/n, Cook's distance, share, jackknife shift."),
     minus: "Location | None" = opt(
-        "Of a link, its difference from that in another store.", type=str, callback=cli.place, metavar="STORE"
+        "For a link: its difference from the link in another store.", type=str, callback=cli.place, metavar="STORE"
     ),
     as_json: bool = JSON,
 ) -> None:
-    """Print the results in STORE as a table, and the components of the points with the worst condition; of a stored
-    link or forecast, what `sweep tie` or `sweep forecast` printed.
+    """Print the results in STORE as a table, with the components of the points that are in the worst condition.
+    For a stored link or forecast, print what `sweep tie` or `sweep forecast` printed.
 
     \b
     sweep show quasars --at model=gaia
@@ -129,7 +129,7 @@ class Drawing:
     variables: At = many("The quantity; several become panels.  [default: the main result]", "--variable")
     over: At = many("The axis to draw along; give both for a map, or two components of a scatter.")
     log: At = many("Give this axis or quantity a logarithmic axis.", metavar="NAME")
-    linear: At = many("Give it a linear one.  [default: what the spacing of values suggests]", metavar="NAME")
+    linear: At = many("Give it a linear axis.  [default: by the spacing of the values]", metavar="NAME")
     models: At = many("Accuracy: only this mission; may be given several times.", "--model")
     at: At = AT
 
@@ -214,7 +214,7 @@ class AskedStores:
     """The stores that a command is about: those that it names, or with --all those of the whole paper."""
 
     stores: "tuple[Location, ...]" = cli.STORES
-    everything: bool = flag("Every built-in study (with something published), run if it has not been yet.", "--all")
+    everything: bool = flag("All studies with something published; those without results are run.", "--all")
     results: Path | None = opt("Folder with the stores of --all.  [default: results]", type=cli.FILE)
     resources: Resources = cli.group(resources)
     watching: Watching = cli.group(Watching)
@@ -289,7 +289,7 @@ def fit(
     law: str = choice(LAWS, ("power", "levelling"), default="power"),
     expect: float | None = opt("Exponent to test.  [default: that of a claim of the study]", type=float),
     fall: float | None = opt(
-        "Levelling: where it falls by less per unit.  [default: 5]", type=PERCENT, metavar="PERCENT"
+        "Levelling: find where it falls by less per unit.  [default: 5]", type=PERCENT, metavar="PERCENT"
     ),
     span: str | None = opt("Only points in this range of the axis, 50: or 14:17.", "--range", metavar="LOW:HIGH"),
     at: At = AT,
@@ -436,7 +436,7 @@ def watch(
     """Watch the runs in STORE, which may begin later: a tile for each point, speed and time left, reasons of failures.
 
     Any machine that can read the stores can watch; nothing is written. It ends when all runs have ended; with --web, or
-    while a store is not there yet, at Ctrl-C. Where standard output is no terminal, it is shown once.
+    while a store is not there yet, at Ctrl-C. If standard output is not a terminal, they are shown once.
 
     \b
     sweep watch quasars

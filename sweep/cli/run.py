@@ -181,7 +181,7 @@ class Running:
     break_lock: bool = cli.BREAK_LOCK
     accept_code: bool = cli.ACCEPT_CODE
     max_failures: "progress.MaxFailures | None" = opt(
-        "End when more points fail.  [default: if the first 20 fail alike]", metavar="N|P%", callback=_max_failures
+        "Stop when more points fail.  [default: if the first 20 fail alike]", metavar="N|P%", callback=_max_failures
     )
 
 
@@ -244,8 +244,8 @@ def run(
     fresh: bool = flag("Replace an existing store, whatever its study and code."),
     only: bool = flag("Leave points that STUDY does not ask for out of the store's dataset."),
     keep: bool = flag("Let constants that differ from the store's become axes."),
-    redo: str = opt('Compute points again, e.g. "x>2 and y==8"; old: of other code.', metavar="IF", default=""),
-    verify: int = opt("At the end compute so many points again.", type=click.IntRange(0), default=0),
+    redo: str = opt('Compute points again: "x>2 and y==8", or old, those of other code.', metavar="IF", default=""),
+    verify: int = opt("At the end compute N points again.", metavar="N", type=click.IntRange(0), default=0),
     part: "Part | None" = cli.PART,
 ) -> None:
     """Run STUDY (a built-in name, a TOML file or FILE.py:FUNCTION) into a Zarr store, and print the table.
@@ -279,20 +279,20 @@ def refine(
     asked: cli.AskedStudy = cli.group(cli.AskedStudy),
     goal: Any = cli.passed(
         find=opt('The condition to locate, e.g. "sigma_spin < 0.6 mas/yr".', metavar="CONDITION"),
-        until=opt('Interpolate to this, in the unit of the result: "error < 0.002".', metavar="CONDITION"),
-        within=opt("How well to locate it, in the unit of the axis.", type=POSITIVE, metavar="WIDTH"),
+        until=opt('How exact values between points are to be: "error < 0.002".', metavar="CONDITION"),
+        within=opt("How closely to locate it, in the unit of the axis.", type=POSITIVE, metavar="WIDTH"),
         along=opt("The axis that gets points.  [default: the only one with several numbers]"),
         variable=opt("With --until: what to interpolate.  [default: the main result]"),
-        most=opt("Most in all.  [default: see docs/refine.md]", "--max-realisations", type=click.IntRange(1)),
+        most=opt("The most in all.  [default: see docs/refine.md]", "--max-realisations", type=click.IntRange(1)),
     ),
     plan_only: bool = flag("Say which round is next, and compute and write nothing.", "--plan"),
     how: Running = cli.group(Running),
 ) -> None:
     """Run STUDY, then add the points and realisations that matter next, round by round, into the same store.
 
-    With --find they locate where a condition changes, to the width that is asked for; with --until values between
-    points are interpolated to an error.  Points are not cut finer than their Monte-Carlo error says: they get more
-    realisations instead.  The same command goes on after an interruption.
+    With --find they close in on the place where a condition changes; with --until they make values between points as
+    exact as asked for.  Points with large Monte-Carlo errors get more realisations instead of closer neighbours.
+    After an interruption the same command goes on.
 
     \b
     sweep refine quasars --find "sigma_spin < 0.6" --within 0.01
@@ -373,7 +373,7 @@ def scaling(
     study: str = cli.STUDY,
     workers: tuple[int, ...] = opt("Numbers of workers, from 1 up.", default="1,2", callback=_counts),
     pool: Any = choice("Workers are processes, or threads of this one.", WITH_WORKERS, default=DEFAULT_POOL),
-    repetitions: int = opt("Times of every run; 5 or more give errors.", type=click.IntRange(1, 1000), default=3),
+    repetitions: int = opt("How often to repeat runs; 5 or more give errors.", type=click.IntRange(1, 1000), default=3),
     settings: Sequence[str] = cli.SETTINGS,
     axes: Sequence[str] = cli.AXES,
     output: Path | None = cli.output("The measurements, as Zarr.  [default: results/NAME-scaling.zarr]"),
@@ -463,7 +463,7 @@ def status(store: "Location" = cli.STORE, as_json: bool = cli.JSON) -> None:
 @cli.command("Store care", "Compare files with checksums; set damaged aside")
 def check(
     store: "Location" = cli.STORE,
-    repair: bool = flag("Set damaged files aside, in STORE.damaged; the next run computes again."),
+    repair: bool = flag("Move damaged files to STORE.damaged; the next run computes what was in them."),
     break_lock: bool = cli.BREAK_LOCK,
     as_json: bool = cli.JSON,
 ) -> None:
@@ -503,10 +503,10 @@ def reproduce(
     trust: bool = cli.TRUST,
     as_json: bool = cli.JSON,
 ) -> None:
-    """Compute points of STORE again and compare every bit with what is stored: one point in this process, or a few,
-    each by itself in new processes, in two orders.
+    """Compute points of STORE again and compare every bit with what is stored: one point in this process, or some,
+    one by one in new processes, in two orders.
 
-    The exit code is 1 if it raises, or if anything differs.
+    The exit code is 1 if a point raises, or if anything differs.
 
     \b
     sweep reproduce results/quasars.zarr --at model=gaia,v_max=16
@@ -559,11 +559,11 @@ def merge(
     trust: bool = cli.TRUST,
     as_json: bool = cli.JSON,
 ) -> None:
-    """Make one store of the parts of a study, what one run of it makes; or of several stores of the same experiment,
+    """Join the parts of a study into the store that a single run makes, or several stores of one experiment into one
     with the points of all.
 
-    Points that several stores have are kept once, and must be the same to the last bit.  The exit code is 1 where
-    points are missing or failed; where a part was, the same command goes on when it is there.
+    Points that several stores have are kept once, and must be the same to the last bit.  The exit code is 1 if
+    points are missing or failed.  If a part is missing, give the same command again when it is there.
 
     \b
     sweep merge results/quasars.zarr.part-* -o results/quasars.zarr
@@ -603,8 +603,8 @@ END_OF_JOB
 def submit(
     asked: cli.AskedStudy = cli.group(cli.AskedStudy),
     tasks: int = opt("Tasks of the array, a part in each.", "--slurm", type=click.IntRange(1, 100_000), required=True),
-    more: Sequence[str] = many("For sbatch, e.g. --time=2:00:00 or --array=1-99%9.", "--sbatch", metavar="OPTION"),
-    go: bool = flag("Submit it, too."),
+    more: Sequence[str] = many("An option of sbatch: --time=2:00:00, --array=1-99%9.", "--sbatch", metavar="OPTION"),
+    go: bool = flag("Also run the script."),
 ) -> None:
     """Write STORE.slurm/submit.sh, which submits STUDY as a job array of SLURM, with a part of it in each task, and a
     job that merges the parts; logs go beside it.  No task needs a connection to another.
