@@ -136,7 +136,7 @@ def rounded(value: Any, error: float = 0.0) -> str:
         return ""
     if isinstance(value, str | int):
         return str(value)
-    if error > 0.0:
+    if 0.0 < error < inf:
         decimals = max(0, 1 - floor(log10(error) + 1e-6))  # a step of 0.1 may be a little less
         return f"{value:.{decimals}f}" if decimals <= 9 else f"{value:.3g}"
     exact = float(value).is_integer() and abs(value) < 2**53  # beyond it a float may stand for another integer

@@ -34,7 +34,7 @@ MC_ERRORS_ALLOWED = 3.0
 FINDS = 1.6449  # a deviation this many errors beyond what is allowed is found with a probability of 95 %
 MOST_UNSEEN = 1.0 / 3.0  # no verdict is given that would miss a larger deviation, relative to the published number
 ARITHMETIC = 1e-9  # smaller relative differences come from the arithmetic: 0.605 - 0.6 in binary is more than 0.005
-NOT_DONE = "not done yet"
+NOT_DONE, EXCLUDED = "not done yet", "excluded by the study"
 RANKS = {"computed": 0, "published": 0, "difference": 0, "power": 1, "allowance": 2}  # of the columns of numbers
 POWER = "power: the deviation from the published number that the verdict finds with a probability of 95 %"
 
@@ -76,8 +76,15 @@ def unit_of(dataset: xr.Dataset, derived: Slope | Ratio | Reading) -> str:
     return quantity.units_along(part, derived.variable, [])[0] if is_reading else ""
 
 
-def measure(dataset: xr.Dataset, claim: Derived, derived: Slope | Ratio | Reading) -> Iterator[Measured]:
-    """Yield our number at every place that a claim is about; raises OutsideGridError for one that is not there."""
+def measure(dataset: xr.Dataset, claim: Derived, derived: Slope | Ratio | Reading) -> list[Measured]:
+    """Return our number at every place that a claim is about, but where the study has no point unless that is all;
+    raises OutsideGridError for a place that is not in the grid.
+    """
+    everywhere = list(_measured(dataset, claim, derived))
+    return [one for one in everywhere if not one.missing.startswith(EXCLUDED)] or everywhere
+
+
+def _measured(dataset: xr.Dataset, claim: Derived, derived: Slope | Ratio | Reading) -> Iterator[Measured]:
     name = derived.variable
     part, problem = _part_with(dataset, name, derived.component)
     if problem:
@@ -157,8 +164,9 @@ def _slope(line: laws.Line, where: Mapping[str, Any], over: str, fit: Callable[.
     if undone := np.count_nonzero(line.status != Status.DONE):
         some = f"{undone:,} of {len(line.x):,} points"
         return Measured(where, missing=_why(set(line.status.tolist()) - {Status.DONE}, some))
-    if len(line.x) < 2:
-        return Measured(where, missing=f"a slope needs two values of {over}; this grid has {len(line.x)}")
+    if (n := len(line.x)) < 2:
+        few = f"a slope needs two values of {over}; this grid has {n}"
+        return Measured(where, missing=few if n else f"{EXCLUDED}: every point")
     if not (np.all(line.x > 0.0) and np.all(np.isfinite(line.y)) and np.all(line.y > 0.0)):
         return Measured(where, broken="there are values that are not above 0, which have no power law")
     try:
@@ -171,7 +179,7 @@ def _slope(line: laws.Line, where: Mapping[str, Any], over: str, fit: Callable[.
 def _why(codes: set[int], subject: str) -> str:
     if Status.FAILED in codes:
         return f"failed: {subject}"
-    return f"excluded by the study: {subject}" if Status.EXCLUDED in codes else f"{NOT_DONE}: {subject}"
+    return f"{EXCLUDED}: {subject}" if Status.EXCLUDED in codes else f"{NOT_DONE}: {subject}"
 
 
 # Verdicts
@@ -242,7 +250,7 @@ def _claims(dataset: xr.Dataset) -> Iterator[Comparison]:
     for claim in quantity.claims_of(dataset):
         derived = claim.quantity()
         try:
-            measured = list(measure(dataset, claim, derived))
+            measured = measure(dataset, claim, derived)
         except quantity.OutsideGridError as error:
             measured = [Measured(claim.where, missing="; ".join(error.problems))]
         about = _about(dataset, claim.text, in_words(derived), unit_of(dataset, derived), claim.source)

@@ -211,6 +211,8 @@ def _variable(name: str, context: Context) -> str:
 
 def _over(name: str, context: Context) -> str:
     values = context.values(name)
+    if values is not None and all(one.name != name or not one.optional for one in context.experiment.parameters):
+        values = tuple(value for value in values if value is not None)  # which says that it has no effect
     if values is not None and (len(values) < 2 or not all(is_number(value) and value > 0 for value in values)):
         raise ValueError(f"{shown(name)} needs at least two numbers, all above 0, for a power law")
     return name
