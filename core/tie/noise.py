@@ -55,7 +55,7 @@ class Noise(NamedTuple):
         """Return a problem with the noise in its errors, which may have further rows and other stated errors."""
         rows, star = np.zeros((5, len(problem.rows))), np.zeros((5, len(problem.satellite)))
         for label, at in noises(problem, jitter, fewest=0).items():
-            (star if label.startswith(SATELLITE) else rows)[at.T] += (self.size.get(label, 0.0) * MAS) ** 2
+            (star if label.startswith(f"{SATELLITE}:") else rows)[at.T] += (self.size.get(label, 0.0) * MAS) ** 2
         noisy = with_variance(problem.satellite, star), with_variance(problem.rows, rows)
         return replace(problem, satellite=noisy[0], rows=noisy[1])
 
@@ -169,7 +169,7 @@ def _padded(problem: Problem, wanted: Mapping[str, Flags]) -> _Padded:
     five = partials[..., :5]
     parts = []
     for label, at in wanted.items():
-        of_star = label.startswith(SATELLITE)
+        of_star = label.startswith(f"{SATELLITE}:")
         parts.append((five * at[:, None]) @ five.swapaxes(1, 2) if of_star else by_source(at)[..., None] * np.eye(m))
     # what is left does not depend on parameters that the satellite lacks: along these there is nothing
     left, singular, _ = np.linalg.svd(five * ~star.present.T[:, None])

@@ -282,7 +282,6 @@ MISTAKES = {  # what changes tables, and the words of a misfit
 }
 REFUSALS = {  # what changes tables, or options; and the words of an error
     "years": (times("obs_time_tcb", 1.0 / NS_PER_YEAR, 2010.0), f"{NO_TIMES}{CHI2}Julian years"),
-    "days": (times("obs_time_tcb", 365.25 / NS_PER_YEAR, 2455197.5), f"{NO_TIMES}{CHI2}Julian dates"),
     "a column": (lambda sky: sky.scans.remove_column("obs_time_bary_corr"), "no column obs_time_bary_corr"),
     "DR3": (of_dr3, "take the table of the same release"),
     "large angles": (times("scan_pos_angle", 1.0, 620.0), r"scan_pos_angle outside -360\.\.360 deg in row 1, 2"),
@@ -297,7 +296,7 @@ REFUSALS = {  # what changes tables, or options; and the words of an error
     "a star": ({"star_models": {"S1": "7"}}, "stars with observations"),
     "an orbit": ({"star_models": {str(10**17): "orbit"}}, f"no elements of the orbit of {10**17}"),
 }
-QUICK = {"errors in uas", *REFUSALS} - {"days"}
+QUICK = {"errors in uas", *REFUSALS}
 
 
 @pytest.mark.parametrize("mistake", [m if m in QUICK else slow(m) for m in (*MISTAKES, *REFUSALS)])

@@ -116,6 +116,10 @@ def test_equal_errors_have_a_closed_form(tmp_path):
     np.testing.assert_array_equal(link.noise_size, 0.0)
     np.testing.assert_allclose(link.estimate, plain.estimate)
     np.testing.assert_allclose(link.error, plain.errors.sel(error_kind="formal"))
+    beside = {"missions": {"satellite-2": "timing-de200"}, "jitter": "satellite-2:all=estimate"}
+    assert (
+        linksweep.tie("psrpi-de200", "timing-de200", "orientation", **beside).noise == "satellite-2:position:position"
+    )
 
 
 def drawn(seed, n, rows_each, kind, part=1.0, factor=3.0):
