@@ -68,6 +68,12 @@ def examples(_app: Sphinx, _context: object, lines: list[str]) -> None:
     lines[:] = code
 
 
+def no_default(_app: Sphinx, _context: object, lines: list[str]) -> None:
+    """Leave out the default of an option without one, for which Click has a mark of its own, or an empty text."""
+    lines[:] = [line for line in lines if not re.search(r":default: ``(Sentinel\.UNSET|'')``", line)]
+
+
 def setup(app: Sphinx) -> None:
     app.connect("source-read", navigation)
     app.connect("sphinx-click-process-description", examples)
+    app.connect("sphinx-click-process-options", no_default)
