@@ -142,8 +142,8 @@ def misfit(problem: Problem, kept: Indices, solution: Solution, names: Names) ->
         worst = max(groups, key=lambda group: group.squares)
         asked = " (are these quasars?)" * bool(np.any(problem.rows.at_rest[list(worst.rows)] & worst.part.at))
         said = f"chi2 is {ratio:.3g} times its expectation, most of it in {worst.words}{asked}"
-        determined = most > len(solution.estimate) and np.isfinite(_ratio(problem))  # also by the sources examined
-        cause = _excess(problem, ratio) if determined else UNEXPLAINED
+        enough = most > len(solution.estimate) and np.isfinite(_ratio(problem))
+        cause = _excess(problem, ratio) if enough else UNEXPLAINED
         return Misfit(ratio, f"{said}; {cause}", ratio > EXCESS or cause != UNEXPLAINED)
     low = [one for one in groups if one.squares < 0.1 * one.expected and chdtr(one.dof, one.squares) < CHANCE]
     if ratio >= DEFICIT or chdtr(solution.dof, solution.squares) > 100.0 * CHANCE:
@@ -415,9 +415,7 @@ def _corrections(problem: Problem, table: str) -> Iterator[tuple[str, int, Chang
 
 
 def _in_units(factors: dict[float, str], quantities: dict[str, Rows]) -> Iterator[tuple[float, str, str, Rows]]:
-    """Yield each factor with its unit, and each quantity: units of time only for one along right ascension, and of
-    rates only for motions.
-    """
+    """Yield each factor with its unit and each quantity: times only along right ascension, rates only of motions."""
     for (factor, unit), (name, rows) in product(factors.items(), quantities.items()):
         if ("time" not in unit or rows in ((0,), (3,))) and ("year" not in unit or min(rows) > 2):
             yield factor, unit, name, rows
