@@ -285,7 +285,6 @@ REFUSALS = {  # what changes tables, or options; and the words of an error
     "a column": (lambda sky: sky.scans.remove_column("obs_time_bary_corr"), "no column obs_time_bary_corr"),
     "DR3": (of_dr3, "take the table of the same release"),
     "large angles": (times("scan_pos_angle", 1.0, 620.0), r"scan_pos_angle outside -360\.\.360 deg in row 1, 2"),
-    "negative noise": (times("agis_source_excess_noise", 1.0, -0.5), "agis_source_excess_noise outside 0"),
     "a late correction": (put("obs_time_bary_corr", 3, 1e15), r"obs_time_bary_corr outside -6e\+11\.\..* in row 4$"),
     "a unit": (lambda sky: setattr(sky.scans["ra0"], "unit", "m"), "column 'ra0': 'm'.* and 'rad'"),
     "a row's origin": (put("ra0", 3, 10.0), f"ra0 changes within {10**17}$"),
