@@ -49,7 +49,7 @@ def read(goal: Goal, study: Study) -> tuple[laws.Limit, str]:
     limit, outputs = laws.parse_limit(find or until), [output.name for output in study.experiment.outputs]
     variable, is_known = limit.variable if find else goal["variable"], not study.experiment.undeclared
     axes = [name for name in study.axes if study.dimensions.get(name) == (name,)]
-    numeric = [name for name in axes if sum(map(is_number, study.axes[name])) > 1]
+    numeric = [name for name in axes if len(study.axes[name]) > 1 and all(map(is_number, study.axes[name]))]
     over = along or (numeric[0] if len(numeric) == 1 else "")
     which = f"along = {along}: axes of several numbers are" if along else "name the axis with along (--along):"
     wrong = {
@@ -184,7 +184,7 @@ def looked_at(asked: Study, now: Study, rounds: Sequence[Round], goal: Goal, dat
     (limit, over), is_find, most = read(goal, asked), goal["find"] is not None, goal["most"]
     variable = limit.variable if is_find else goal["variable"] or quantity.main_quantity(dataset)
     quantity.require_quantity(dataset, variable)
-    axis = sorted(value for value in asked.axes[over] if value is not None)
+    axis = sorted(asked.axes[over])
     finest = goal["within"] or FINEST * (axis[-1] - axis[0])
     nearest = 1.0 if dataset[over].dtype.kind == "i" else NEAR * max(map(abs, axis))  # that values of the axis can be
     least = max(finest * ROUNDING, nearest)
@@ -208,7 +208,7 @@ def looked_at(asked: Study, now: Study, rounds: Sequence[Round], goal: Goal, dat
         factors += [(line, i, factor) for *_, some in lacks for i, factor in some.items()]
     status, numbers = dataset["status"], asked.numbers()
     spent = int(dataset["n_sim_done"].sum() if numbers else (status == Status.DONE).sum())
-    there = sorted(value for value in now.axes[over] if value is not None)
+    there = sorted(now.axes[over])
     finest = finest if is_find else float(np.diff(there).min())
     per_line = math.floor((axis[-1] - axis[0]) / max(finest, nearest) * ROUNDING) + 1
     per_line, each = max(per_line, len(axis)), math.prod(numbers.values())
@@ -264,7 +264,7 @@ def _middle(values: Sequence[Any], low: float, high: float) -> float:
 
     It is the first of the two where there is none in between.
     """
-    axis = sorted(value for value in values if value is not None)
+    axis = sorted(values)
     is_log = len(axis) > 2 and axis[0] > 0 and np.std(np.diff(np.log(axis))) < np.std(np.diff(axis)) / np.mean(axis)
     half = math.sqrt(low * high) if is_log else low + 0.5 * (high - low)
     if all(type(value) is int for value in axis):

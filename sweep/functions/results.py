@@ -268,6 +268,12 @@ def unit_of(value: Any) -> str:
     return str(unit) if is_xarray(value) or hasattr(unit, "is_equivalent") else ""  # times of pandas have texts
 
 
+def _unit(value: Any) -> str:
+    """Return the unit of a result, which may be a quantity of pint or unyt, or an xarray object with one."""
+    data = getattr(value, "data", value) if is_xarray(value) else value
+    return unit_of(value) or str(getattr(data, "units", "")).replace("dimensionless", "")
+
+
 IN_UTC = (
     "results are in UTC without one: .astimezone(timezone.utc).replace(tzinfo=None), or .tz_convert(None) in pandas"
 )
@@ -279,7 +285,7 @@ def value_of(value: Any) -> Value:
         value = value.to_xarray()
     if isinstance(value, Mapping):  # a Dataset of xarray too
         raise ResultError(f"is a {type(value).__name__}; results are not nested: return its entries by their names")
-    dims, coordinates, unit, meaning = None, tuple[Coordinate, ...](), unit_of(value), ""
+    dims, coordinates, unit, meaning = None, tuple[Coordinate, ...](), _unit(value), ""
     if "since" in unit:  # a word by which readers of CF take any numbers for dates, or refuse the whole file
         raise ResultError(f"has the unit {shown(unit)}: return times, or numbers with a unit such as 'd'")
     if is_xarray(value):
@@ -303,8 +309,8 @@ def value_of(value: Any) -> Value:
 def _typed(value: Any) -> tuple[Type, NDArray[Any]]:
     """Return the type of a value that is no xarray object, and its array; raises ResultError as `value_of`."""
     if isinstance(value, list | tuple):
-        kinds = {kind for kind in set(map(type, value)) if hasattr(kind, "unit") or hasattr(kind, "attrs")}
-        if kinds and any(unit_of(one) for one in value if type(one) in kinds):
+        kinds = {kind for kind in set(map(type, value)) if {"unit", "units", "attrs"} & {*dir(kind)}}
+        if kinds and any(_unit(one) for one in value if type(one) in kinds):
             raise ResultError("is a list of quantities; make one of them: astropy.units.Quantity(...)")
         try:
             array = np.asarray(value)

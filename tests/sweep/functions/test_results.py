@@ -84,11 +84,11 @@ def test_what_holds_results(tmp_path):
     assert (ds.y.item(), ds.y.units) == (3.5, "m")
     results_of({"a": np.arange(1e5)}, tmp_path, fresh=True)
     assert (tmp_path / "s.zarr" / "zarr.json").stat().st_size < 20_000  # which counts them
-    series = pd.Series([1.0, 2.0], index=pd.Index([10, 20], name="hour"), name="power")
-    ds = results_of({"a": series}, tmp_path, fresh=True)
+    ds = results_of({"a": pd.Series([1.0, 2.0], pd.Index([10, 20], name="hour"), name="power")}, tmp_path, fresh=True)
     assert (ds.power.values.tolist(), ds.hour.values.tolist()) == ([[1.0, 2.0]], [10, 20])
-    kinds = Column, MaskedColumn, lambda y, unit: Masked(y * u.km), lambda y, unit: xr.Variable("x", y, {"units": unit})
-    for kind in kinds:
+    kinds = [Column, MaskedColumn, lambda y, unit: Masked(y * u.km)]
+    kinds += [lambda y, unit: np.array(y).view(type("Q", (np.ndarray,), {"units": unit}))]  # as of pint and unyt
+    for kind in (*kinds, lambda y, unit: xr.Variable("x", y, {"units": unit})):
         ds = results_of({"a": {"y": kind([1.0, 2.0], unit="km")}}, tmp_path, fresh=True)
         assert (ds.y.values.tolist(), ds.y.units) == ([[1.0, 2.0]], "km")
     assert ds.y.dims == ("case", "x")  # of the last
