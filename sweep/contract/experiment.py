@@ -90,8 +90,8 @@ class _Short(reprlib.Repr):
 
 
 def shown(value: object) -> str:
-    """Return a value as messages show it: its repr, cut short where it is long or deep."""
-    return _Short().repr(value)
+    """Return a value as messages show it: its repr in one line, cut short where it is long or deep."""
+    return " ".join(map(str.strip, _Short().repr(value).split("\n")))
 
 
 class DefinitionError(ValueError):

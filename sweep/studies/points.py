@@ -510,7 +510,7 @@ def read_points(
         return {}, None
     with problems.at(("points",)):
         lengths = {name: len(column) for name, column in (columns | labels).items()}
-        sizes = ", ".join(f"{name} has {n}" for name, n in lengths.items())
+        sizes = ", ".join(f"{name} has {n}" for name, n in lengths.items()) or "there are none"
         if len({*lengths.values()}) != 1:
             raise ValueError(f"needs columns with the same number of values; {sizes}")
         if not 1 <= max(lengths.values()) <= MAX_VALUES:

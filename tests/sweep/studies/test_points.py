@@ -97,7 +97,7 @@ WRONG = [
     ({"beta": [1.0, 2.0], "k": [1]}, "the same number of values; beta has 2, k has 1"),
     (Table({"beta": [1.0] * u.m}), "points.columns.beta: is in m, and the parameter is in 1/d"),
     *(("nowhere.csv", "no such file"), ("/", "Is a directory"), ("/dev/zero", "is a device")),
-    (3, "must be a DataFrame, a Table, a mapping of columns, a file or a design"),
+    (pd.Series([1]), "1 dtype: int64: must be a DataFrame, a Table, a mapping of columns, a file or a design"),
     (sobol(design="sobl"), "points.design: input should be 'sobol',"),
     (sobol(n=None), "n = None, ranges = {'beta': [1, 2]}: needs both (--design"),
     (sobol(ranges={"beta": [0, 2]}), "points.ranges.beta: beta = 0: must be a number > 0"),
