@@ -81,6 +81,7 @@ def dask_workers(reference: str, resources: Resources, say: Callable[[str], None
     with without_logs(), ExitStack() as stack:
         if (client := resources.client) is not None:
             words = f"the Dask scheduler at {client.scheduler_info()['address']}"
+            stack.enter_context(_lost_workers_replaced(client.cluster))
         elif (address := resources.scheduler) is not None:
             words = f"the Dask scheduler at {address}"
             client = stack.enter_context(client_at(address, tls(*resources.tls) if resources.tls else None))

@@ -13,6 +13,7 @@ from contextlib import closing, suppress
 from decimal import Context, Decimal, localcontext
 from itertools import combinations
 
+import dask
 import numpy as np
 import pytest
 import trustme
@@ -122,7 +123,7 @@ def client(request):
         yield client
 
 
-def test_a_client_computes_the_same_bits_and_goes_on_to_work(client, tmp_path):
+def test_a_client_computes_the_same_bits_and_goes_on_to_work(client, tmp_path, monkeypatch):
     scale = 3.0
 
     def noise(x: float, rng):
@@ -133,18 +134,18 @@ def test_a_client_computes_the_same_bits_and_goes_on_to_work(client, tmp_path):
         return scale * x + rng.normal() + float(Decimal(1) / 7)
 
     sampling = {"n_sim": 30, "seed": 4}
-    before = client.submit(np.sqrt, 4.0)
+    monkeypatch.setattr(clusters, "REPLACE_EVERY_S", 0.2)
+    before, cluster = client.submit(np.sqrt, 4.0), client.cluster
+    with dask.config.set({"distributed.deploy.lost-worker-timeout": 0}):  # workers that die often are given up
+        [cluster.sync(worker.close) for worker in [*cluster.workers.values()]]
+        wait_until(lambda: not cluster.workers, "a cluster that has lost its workers")
     with localcontext(Context(prec=3)):  # which the threads of workers do not have
         here = linksweep.run(noise, tmp_path / "here.zarr", axes=AXES, sampling=sampling, pool="serial")
         there = linksweep.run(noise, tmp_path / "there.zarr", axes=AXES, sampling=sampling, client=client)
     same(here, there)
 
-    def fails(x: float):
-        time.sleep(0.02)
-        raise ValueError(x)
-
     with pytest.raises(linksweep.SweepError, match="stopped"):  # a run that is interrupted leaves no tasks with it
-        linksweep.run(fails, tmp_path / "s.zarr", axes=AXES, client=client, max_failures=1)
+        linksweep.run(lambda x: time.sleep(x) or 1 / 0, tmp_path / "s.zarr", axes=AXES, client=client, max_failures=1)
     wait_until(lambda: not any(client.processing().values()), "the end of its tasks")
     assert (client.status, before.result(), client.submit(np.sqrt, 9.0).result()) == ("running", 2.0, 3.0)
 
@@ -170,8 +171,7 @@ def test_an_asynchronous_or_closed_client_is_refused(client):
                 pools.Resources(client=other)
 
     asyncio.run(use())
-    with Client(client.scheduler.address, set_as_default=False) as other:
-        pass
+    (other := Client(client.scheduler.address, set_as_default=False)).close()
     with pytest.raises(linksweep.SweepError, match="which is closed: must be"):
         pools.Resources(client=other)
 
