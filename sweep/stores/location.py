@@ -476,12 +476,14 @@ Where = str | Path | Location
 
 
 def located(where: Where) -> Location:
-    """Return the place that an address or path names; raises SweepError for an address of no known kind,
-    and for a bucket where obstore is not installed.
+    """Return the place that an address or path names; raises SweepError for what is none, for an address of no known
+    kind, and for a bucket where obstore is not installed.
     """
-    if not isinstance(where, str | Path):
+    if isinstance(where, Location):
         return where
     address = str(where)
+    if not isinstance(where, str | Path):
+        raise SweepError("cannot be a store: it must be a path, or a text like s3://BUCKET/NAME", address)
     if address.startswith("s3:/"):
         # `Path` makes one slash of two.
         match = ADDRESS.fullmatch(address)
