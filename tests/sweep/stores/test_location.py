@@ -83,7 +83,7 @@ def test_an_address_that_is_none_or_needs_a_package_is_refused(monkeypatch):
         with pytest.raises(SweepError, match=r"s3://BUCKET/NAME, .* and no //, /\./, /\.\./ or line break"):
             located(f"s3://{rest}")
     for address in ("gs://abc/x", "gs:/x", 5):
-        with pytest.raises(SweepError, match="(gs:// is not known; a store is|must be) a path,? or .*s3://BUCKET"):
+        with pytest.raises(SweepError, match=r"(gs:// is not known; a store is|must be) a path,? or .*s3://BUCKET"):
             located(address)
     monkeypatch.setitem(sys.modules, "obstore", None)
     with pytest.raises(SweepError, match=r"pip install 'linksweep\[s3\]'"):
