@@ -57,7 +57,7 @@ At = tuple[str, ...]
 def opt(help: str, *names: str, **more: Any) -> Any:  # noqa: A002 (as click has it)
     """Declare an option as the default of a parameter, by which it is called if it has no ``names``."""
     # Else only the pages would say what happens without an option.
-    more = {"show_default": True} | more
+    more = {"show_default": more.get("default") != ""} | more
     return lambda name: click.Option([name, *(names or ["--" + name.replace("_", "-")])], help=help, **more)
 
 
