@@ -145,9 +145,6 @@ def test_a_point_that_is_not_done_is_incomplete_and_not_left_out():
 
 
 def test_a_claim_of_a_law_for_each_model(tmp_path):
-    def power(model: str, n: float = 2.0):
-        return 4.0 if model == "flat" else n**-0.5
-
     claims = [claim(published="-0.5", exact=True, slope=LAW)]
     value = np.array([2.0 * N**-0.5, 3.0 * N**-0.7])
     found = compare(grid(value, 0.01 * value, claims=claims))
@@ -162,12 +159,8 @@ def test_a_claim_of_a_law_for_each_model(tmp_path):
     words = [law["conclusion"].values.tolist() for law in laws]
     assert words == [["as expected", ""], ["as expected", "NOT as expected"], ["NOT as expected", "as expected"]]
     axes, when = {"model": ["flat", "steep"], "n": [2.0, 8.0]}, {"n": {"model": ["steep"]}}
-    study = {
-        "experiment": power,
-        "axes": axes,
-        "when": when,
-        "claim": [claims[0] | {"slope": LAW | {"variable": "power"}}],
-    }
+    study = {"experiment": lambda model, n=2.0: 4.0 if model == "flat" else n**-0.5, "axes": axes, "when": when}
+    study["claim"] = [claims[0] | {"slope": {"variable": "result", "over": "n"}}]
     [comparison] = compare(linksweep.run(study, tmp_path / "s.zarr", pool="serial"))  # of no line without points
     assert (comparison.where, comparison.verdict) == ({"model": "steep"}, "reproduced")
 

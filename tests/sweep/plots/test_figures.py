@@ -238,11 +238,8 @@ def test_a_series_at_many_points_is_a_median_with_bands(tmp_path):
 
 
 def test_points_on_which_an_axis_has_no_effect_are_dotted_lines(tmp_path):
-    def score(kernel: str, gamma: float = 0.5):
-        return 1.0 if kernel == "linear" else gamma
-
-    axes, when = {"kernel": ["linear", "rbf"], "gamma": [0.1, 0.2, 0.4]}, {"gamma": {"kernel": ["rbf"]}}
-    ds = linksweep.run(score, tmp_path / "s.zarr", axes=axes, when=when, pool="serial")
+    options = {"axes": {"kernel": ["linear", "rbf"], "gamma": [0.1, 0.2, 0.4]}, "when": {"gamma": {"kernel": ["rbf"]}}}
+    ds = linksweep.run(lambda kernel, gamma=1.0: gamma, tmp_path / "s.zarr", pool="serial", **options)
     assert linksweep.plot(ds, "law").axes[0].get_legend_handles_labels()[1][0].startswith("rbf: ")  # the only line
     [axes] = linksweep.plot(ds).axes
     [dotted] = [line for line in axes.get_lines() if line.get_linestyle() == ":"]
