@@ -886,7 +886,7 @@ def sensitivity_figure(dataset: xr.Dataset) -> Figure:
         raise SweepError(f"{dataset.attrs['output']} does not vary: there are no indices to draw")
     further = [str(d) for d in dataset[kinds[0]].dims if d != "parameter" and dataset.sizes[d] > 1]
     dataset = dataset.squeeze([d for d in dataset.dims if d not in ("parameter", *further)])
-    if len(further) > 1 or (further and dataset[further[0]].dtype.kind not in "iuf"):
+    if len(further) > 1 or (further and dataset[further[0]].dtype.kind not in "iufM"):
         raise SweepError(f"indices of {' and '.join(further)} do not fit one picture; fix some with --at AXIS=VALUE")
     unit = formatting.written(formatting.units_of(dataset[kinds[0]].attrs))
     effect = "share of the variance" if "first" in kinds else "effect over the range" + (f" [{unit}]" if unit else "")

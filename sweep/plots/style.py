@@ -422,6 +422,10 @@ def name_ticks(axes: Axes, which: str, names: Sequence[str]) -> None:
     longest = max(seen(line) for text in broken for line in text.split("\n"))
     if which == "x" and in_letters(LETTER_WIDTH) * longest > room:
         turned = 45.0 if room > in_letters(1.4) else 90.0
+        figure: Any = axes.figure
+        if axes is figure.axes[0]:  # panels keep their height
+            below = in_letters(LETTER_WIDTH) * max(map(seen, names)) * np.sin(np.radians(turned))
+            figure.set_figheight(figure.get_figheight() + below)
         broken, look = list(names), {"rotation": turned, "rotation_mode": "anchor", "ha": "right", "va": "center"}
     getattr(axes, f"set_{which}ticks")(range(len(names)), broken, **look)
     axes.set(**{f"{which}lim": (-0.5, len(names) - 0.5)})

@@ -289,4 +289,4 @@ def test_names_below_an_axis_do_not_cover_each_other(tmp_path, names, width, tur
     assert {text.get_rotation() for text in texts} == {turned}
     boxes = [text.get_window_extent() for text in texts]
     assert turned or all(left.x1 < right.x0 for left, right in pairwise(boxes))
-    assert axes.get_window_extent().height > 0.3 * axes.figure.bbox.height
+    assert axes.get_window_extent().height > 0.6 * axes.figure.bbox.height
