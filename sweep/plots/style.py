@@ -313,7 +313,7 @@ def plain(text: str) -> str:
         >>> plain(r"$\\sigma(\\omega)$ [mas/yr]"), plain(r"$V_\\mathrm{max}$")
         ('sigma(omega) [mas/yr]', 'V_max')
     """
-    text = re.sub(r"\\(?:mathrm|overline|bar)\{?([^{}$]*)\}?", r"\1", text).replace(r"\pm", "±")
+    text = re.sub(r"\\(?:mathrm|overline|bar)\{?([^{}$]*)\}?", r"\1", text).replace(r"\pm", "±").replace(r"\,", " ")
     return re.sub(r"\\(\$)|[${}]|\\", r"\1", text).replace("\n", " ")
 
 
