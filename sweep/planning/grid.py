@@ -44,15 +44,15 @@ class GridPoint:
 
 class Grid:
     """The points of a study.  The dimension of a table of points comes first, then the axes in their order; zipped axes
-    share one (`Study.dimensions`).  ``warnings`` are those of the experiment, if `make_grid` has asked it.
+    share one (`Study.dimensions`).  The experiment has ``said`` some warnings, if `make_grid` has asked it.
 
     ``dimensions`` has the axes along each dimension, ``shape`` its length, ``rows`` the values at each place along it,
     one for each of its axes.
     """
 
-    def __init__(self, study: Study, warnings: Sequence[str] = ()) -> None:
+    def __init__(self, study: Study, said: Sequence[str] = ()) -> None:
         """Take the axes of a study; nothing is asked."""
-        self.study, self.warnings, self.dimensions = study, list(warnings), study.dimensions
+        self.study, self.said, self.dimensions = study, said, study.dimensions
         self._lacking = study.lacking
         self.rows: dict[str, list[tuple[Value, ...]]] = {
             name: [*zip(*(study.axes[axis] for axis in axes), strict=True), *[(NO_EFFECT,)] * (name in self._lacking)]
@@ -63,6 +63,18 @@ class Grid:
         self._names = [axis for axes in self.dimensions.values() for axis in axes]
         # parameters that do not change a point's random numbers
         self._shared = frozenset(study.experiment.shared if study.sampling.common_random_numbers else ())
+
+    @cached_property
+    def warnings(self) -> list[str]:
+        """Sentences about conditions that no point meets and about a design, and what the experiment has ``said``."""
+        study, asked, warnings = self.study, self.study.sections.get("when", {}), list[str]()
+        values = {name: (value,) for name, value in self._fixed.items()} | dict(study.axes)
+        clauses = [("exclude", clause, False) for clause in study.excluded]
+        clauses += [(f"when.{n}", one, n not in asked) for n, one in study.when.items() if n in {**study.axes, **asked}]
+        for where, clause, is_declared in clauses:
+            unmet = filter(None, (one.unmet(values[one.name], is_declared) for one in clause))
+            warnings.extend(f"{where}: {sentence}" for sentence in unmet)
+        return [*warnings, *remarks({} if study.points is None else study.points.origin), *self.said]
 
     def with_repeats(self, of_points: NDArray[Any]) -> NDArray[Any]:
         """Return an array over the points, (points, ...), in which a repeated one has what the first has: they are the
@@ -309,16 +321,7 @@ def make_grid(study: Study) -> Grid:
         sentences += [f"{name} = {shown(study.fixed[name])} changes nothing: {why}" for name, why in idle.items()]
     if sentences:
         raise SweepError(sentences, study.source)
-    values = {name: (value,) for name, value in study.experiment.defaults().items()} | values
-    asked = study.sections.get("when", {})
-    clauses = [("exclude", clause, False) for clause in study.excluded]
-    clauses += [(f"when.{n}", some, n not in asked) for n, some in study.when.items() if n in {**study.axes, **asked}]
-    for where, clause, is_declared in clauses:
-        unmet = filter(None, (one.unmet(values[one.name], is_declared) for one in clause))
-        grid.warnings.extend(f"{where}: {sentence}" for sentence in unmet)
-    grid.warnings.extend(remarks({} if study.points is None else study.points.origin))
-    grid.warnings.extend(_with_points(warnings, "warnings"))
-    return grid
+    return Grid(study, _with_points(warnings, "warnings"))
 
 
 def _judged(

@@ -121,7 +121,7 @@ class Plan:
 
     def for_study(self, study: Study) -> "Plan":
         """Return the plan of the same points, for a study that knows more about their results."""
-        return Plan(Grid(study, self.grid.warnings))
+        return Plan(Grid(study, self.grid.said))
 
     def _blocks(self, cost: float, parts: range | None = None) -> Sequence[Block]:
         n_cat = self.grid.study.sampling.n_cat

@@ -680,7 +680,7 @@ class Session:
         if retry:
             wanted = again = store.failures.keys() & set(grid.digests(grid.indices()))
         wanted = None if wanted is None else wanted | again
-        plan = Plan(grid) if whole is grid.study else Plan(Grid(whole, grid.warnings))
+        plan = Plan(grid) if whole is grid.study else Plan(Grid(whole, grid.said))
         accumulator = accumulated(plan, store, again, wanted)
         session = cls(where, accumulator, store, is_new=fresh)
         if whole is not study:
@@ -769,7 +769,8 @@ class Session:
         writer.require_whole()
         published = (dataset, writer.failures()) if self._asked is None else self.part()
         progress.written()
-        for sentence in json.loads(published[0].attrs["warnings"])[len(writer.plan.grid.warnings) :]:
+        before = Grid(self._asked or self.study, writer.plan.grid.said).warnings
+        for sentence in json.loads(published[0].attrs["warnings"])[len(before) :]:
             progress.say(f"warning: {sentence}")
         if too_many:
             raise TooManyFailuresError(f"stopped: {too_many}; {GOES_ON}", str(writer.store.location))
