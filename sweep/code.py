@@ -43,7 +43,7 @@ from operator import attrgetter
 from pathlib import Path
 from textwrap import indent
 from types import CellType, CodeType, FunctionType, MappingProxyType, MethodType, ModuleType
-from typing import Any, ClassVar, SupportsAbs
+from typing import Any, ClassVar, SupportsAbs, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -340,8 +340,10 @@ class Reach:
             return [getattr(value, name, None) for name in WRAPPED]
         if isinstance(value, UNSTEADY) or value is os.environ or (kind is np.ufunc and "vectorized" in value.__name__):
             raise TypeError("not the same from call to call, or made by frompyfunc, which does not tell of what")
-        reduce = cloudpickle.Pickler.dispatch_table.get(kind)
+        reduce = cloudpickle.Pickler.dispatch_table.get(kind) if kind is not TypeVar else None  # by its whole module
         reduced = reduce(value) if reduce is not None else value.__reduce_ex__(4)
+        if is_other and kind is not partial and all(hasattr(kind, name) for name in ("func", "args", "keywords")):
+            reduced = kind, (value.func, value.args, value.keywords)  # toolz pickles names of these, and docstrings
         if isinstance(reduced, str):  # to be found in its module
             self._is_users(getattr(value, "__module__", None) or kind.__module__)
             if is_other:
@@ -352,9 +354,7 @@ class Reach:
         if not is_other:  # also before the first call
             self._is_partial |= not self._changed.isdisjoint(_set_by(kind))  # type: ignore[arg-type]
         kept = [self._kept(kind, one) if isinstance(one, dict) else one for one in states]
-        func = is_other and state is None and getattr(value, "func", None)  # which may be in args by its name only
-        inner = [func] if type(func) is FunctionType and not any(one is func for one in args) else []
-        return function, args, *kept, list(items or ()), list(pairs or ()), *inner
+        return function, args, *kept, list(items or ()), list(pairs or ())
 
     def _kept(self, kind: type, state: dict[Any, Any]) -> list[Any] | None:
         """Return the attributes of an object that neither code changes nor are cached properties, in order; None if
@@ -413,10 +413,10 @@ class Reach:
         names, label, code = function.__globals__, self._label(function), function.__code__
         if not self._is_users(names.get("__name__")):
             # A wrapper that a library made may hold a function of the user's, or a number; other things that it holds,
-            # such as the cache of a single dispatch, change when it is called.
+            # such as the cache of a single dispatch, change when it is called; so do numbers in those of Python.
             self._value, around = "", [*_closure(function).values(), *vars(function).values()]
             forms = [form for one in around if (form := self._form(one, {})) and type(one) in PLAIN]
-            self._keep(f"function {label}", ", ".join(forms))
+            self._keep(f"function {label}", ", ".join(forms) if distributions_of(names.get("__name__")) else "")
             return
         # what attrs makes has numbers in its source that differ from process to process; fields are in the class
         nodes = [] if "<attrs generated" in code.co_filename else list[Any](definitions_of(function))
@@ -652,7 +652,9 @@ def _names_in(nodes: tuple[ast.AST, ...], code: CodeType | None) -> frozenset[st
         (top,) = symtable.symtable(inner, "", "exec").get_children()
     names = {one.get_name() for one in top.get_symbols() if one.is_referenced()}
     if code is not None:  # also in defaults and annotations: what code changes of a default is left out of its value
-        names &= {n.id for node in nodes for n in ast.walk(getattr(node, "args", node)) if isinstance(n, ast.Name)}
+        is_inner = "<" in code.co_qualname.rpartition(".")[0]  # whose defaults may have names of what is around it
+        parts = [getattr(node, "args", node) for node in nodes if not (is_inner and hasattr(node, "args"))]
+        names &= {n.id for node in parts for n in ast.walk(node) if isinstance(n, ast.Name)}
     tables = [*top.get_children()]
     for table in tables:  # which grows meanwhile
         binds = code and table.get_type() == "class"  # what it may have looked up before

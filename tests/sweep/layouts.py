@@ -9,7 +9,7 @@ from pathlib import Path
 # Beside main.py, in a package there, and in a package that PYTHONPATH finds.
 PLACES = ("", "local/", "../lib/pkg/", "../lib/pkg/sub/")
 LINKS = {  # what a module has to define so that NAME(x) calls INNER(x), which IMPORT makes known there
-    "call": "def NAME(x):\n    return INNER(x)",
+    "call": "import typing\n\nT_NAME = typing.TypeVar('T_NAME')\n\ndef NAME(x: T_NAME):\n    return INNER(x)",
     "inner import": "def NAME(x):\n    IMPORT\n    return INNER(x)",
     "method": "class C_NAME:\n    def run(self, x):\n        return INNER(x)\n\nNAME_object = C_NAME()\n\ndef NAME(x):\n    return NAME_object.run(x)",
     "property": "class C_NAME:\n    @property\n    def value(self):\n        return INNER(0.0)\n\ndef NAME(x):\n    return x + C_NAME().value",
@@ -17,12 +17,12 @@ LINKS = {  # what a module has to define so that NAME(x) calls INNER(x), which I
     "vectorised": "import numpy as np\n\nNAME_v = np.vectorize(lambda x: INNER(x))\n\ndef NAME(x):\n    return float(NAME_v(x))",
     "wrapped": "import functools\n\ndef NAME_deco(g):\n    @functools.wraps(g)\n    def inner(x):\n        return g(x)\n    return inner\n\n@NAME_deco\ndef NAME(x):\n    return INNER(x)",
     "registry": "NAME_all = {}\n\ndef NAME_add(g):\n    NAME_all[g.__name__] = g\n    return g\n\n@NAME_add\ndef one(x):\n    return INNER(x)\n\ndef NAME(x):\n    return NAME_all['one'](x)",
-    "partial": "import functools, toolz\n\n@toolz.curry\ndef NAME_two(k, x): return INNER(x) + k\n\nNAME = functools.partial(NAME_two, 0.0)",
+    "partial": "import functools, toolz\n\n@toolz.curry\ndef NAME_two(k, x):\n    return INNER(x) + k\n\nNAME = functools.partial(NAME_two, 0.0)",
     "closure": "def NAME_make(g):\n    return lambda x: g(x)\n\nNAME = NAME_make(lambda x: INNER(x))",
     "counter": "B_NAME_all = {}\n\nclass B_NAME:\n    one, n = None, 0\n    def __new__(cls):\n        cls.one = cls.one or super().__new__(cls)\n        return cls.one\n    def __init__(self):\n        B_NAME_all['n'] = type(self).n = self.n + 1\n\nclass A_NAME(B_NAME):\n    pass\n\nclass C_NAME:\n    def __init__(self):\n        self.calls = 0\n    @property\n    def late(self):\n        if not hasattr(self, 'made'):\n            self.made = 0.0\n        return self.made\n    def run(self, x, known={}):\n        self.calls, known[x] = self.calls + 1, A_NAME()\n        return INNER(x) + self.late\n\nNAME = C_NAME().run",
     "lazy": "import functools\n\nclass C_NAME:\n    def __init__(self):\n        self.first = None\n    @functools.cached_property\n    def zero(self):\n        return 0.0\n    def run(self, x):\n        if self.first is None:\n            self.first = [x]\n        return INNER(x) + self.zero\n\nNAME_object = C_NAME()\n\ndef NAME(x):\n    return NAME_object.run(x)",
     "own names": "from dataclasses import dataclass\n\n@dataclass\nclass C_NAME:\n    k: float = 1.0\n    n = 2.0\n    m = n * 2\n    g: object = None\n    def run(self, y):\n        return self.g(y)\n\nNAME_all = {'a': lambda v: INNER(v)} | {i: j for i, j in [(1, 2)]}\n\ndef NAME(x):\n    NAME_all[x] = x\n    return C_NAME(g=NAME_all['a']).run(x)",
-    "registered later": "import functools\n\n@functools.singledispatch\ndef NAME(x):\n    return 0.0\n\n@NAME.register\ndef _(x: float):\n    return INNER(x)",
+    "registered later": "import abc, functools\n\nclass A_NAME(abc.ABC):\n    pass\n\nA_NAME.register(float)\n\n@functools.singledispatch\ndef NAME(x):\n    return 0.0\n\n@NAME.register\ndef _(x: A_NAME):\n    return INNER(x)",
     "method set later": "class C_NAME:\n    pass\n\nC_NAME.run = lambda self, x: INNER(x)\n\ndef NAME(x):\n    return C_NAME().run(x)",
     "metaclass": "class M_NAME(type):\n    def __call__(cls, x):\n        return INNER(x)\n\nclass NAME(metaclass=M_NAME):\n    pass",
     "descriptor": "class D_NAME:\n    def __get__(self, one, kind=None):\n        return INNER\n\nclass C_NAME:\n    run = D_NAME()\n\ndef NAME(x):\n    return C_NAME().run(x)",
@@ -33,7 +33,7 @@ LINKS = {  # what a module has to define so that NAME(x) calls INNER(x), which I
 ENDS = {  # how the constant, CONSTANT, comes into NAME(x)
     "changes a name of its own": "def NAME_one(w):\n    w[0] = 0.0\n    return w[0]\n\nNAME_k = [CONSTANT]\nw = vars()['NAME_' + 'k']\n\ndef NAME(x):\n    return NAME_one([x]) + w[0]",
     "global": "K_NAME = CONSTANT\n\ndef NAME(x):\n    class C_NAME:\n        K_NAME = K_NAME\n    return x + C_NAME.K_NAME",
-    "default": "def NAME(x, k=CONSTANT):\n    return x + k",
+    "default": "NAME_all = [lambda x, i=i: x + i for i in range(3)]\n\ndef NAME(x, k=CONSTANT):\n    return NAME_all[0](x) + k",
     "keyword": "def NAME(x, *, k=CONSTANT, own=lambda v: v):\n    return x + k",
     "instance": "S_NAME = []\n\nclass C_NAME:\n    def __init__(self, k):\n        self.k = k\n        S_NAME.append(self)\n\nNAME_object = C_NAME(CONSTANT)\n\ndef NAME(x):\n    return x + sum(one.k for one in S_NAME if isinstance(one, C_NAME))",
     "configured": "class C_NAME:\n    k = 0.0\n    def configure(self, k):\n        self.k = k\n\nNAME_object = C_NAME()\nNAME_object.configure(CONSTANT)\n\ndef NAME(x):\n    return x + NAME_object.k",
