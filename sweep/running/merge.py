@@ -83,9 +83,8 @@ def merge(places: Sequence[Where], into: Where, *, accept_code: bool = False, tr
     for source in reversed(sources[:-1]) if part is None else ():
         study = united(source.study, study, digests)
     about = _about(sources)
-    rounds = [
-        *{str(one): one for source in sources for one in json.loads(source.attributes.get(REFINED, "[]"))}.values()
-    ]
+    every = (one for source in sources for one in json.loads(source.attributes.get(REFINED, "[]")))
+    rounds = [*{str(one): one for one in every}.values()]
     origin = {MERGED: json.dumps(about)} | ({REFINED: json.dumps(rounds)} if rounds else {})
     require_free(place, study, about)
     _require_same_bits(sources, experiment.reducer.dtype)

@@ -239,9 +239,8 @@ def test_the_command_says_what_is_known_and_what_it_took(sweep, tmp_path):
     sweep("run", "f.py:step", "--set", "x=5", "-o", "t.zarr", cwd=tmp_path)
     for merged in ("s.zarr t.zarr -o m.zarr", "m.zarr s.zarr -o both.zarr"):
         sweep("merge", *merged.split(), cwd=tmp_path, code=0)
-        assert (
-            sweep("status", merged.split()[-1], cwd=tmp_path)[1].count("of sweep refine") == len(report["rounds"]) == 2
-        )
+        said = sweep("status", merged.split()[-1], cwd=tmp_path)[1]
+        assert said.count("of sweep refine") == len(report["rounds"]) == 2
     (tmp_path / "g.py").write_text("def inverse(x: int):\n    return 1.0 / x\n")
     two = ["refine", "g.py:inverse", "--axis", "x=1,2", "-o", "w.zarr", "--within"]
     for more in ("9 --until error<0.1", "0.1 --until error<0.1", "0.1 --find inverse<0.6"):  # no other full grid

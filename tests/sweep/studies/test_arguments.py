@@ -109,13 +109,8 @@ def test_a_point_is_left_out_where_all_conditions_of_an_option_are_met(options):
 
 
 def test_objects_without_order_or_that_give_their_values_once_and_steps_beyond_a_range_are_refused(tmp_path):
-    for values in (
-        {1, 2},
-        map(float, (1, 2)),
-        3.0,
-        far := {"start": 1, "stop": 2, "step": 3},
-        far | {"spacing": "log"},
-    ):
+    far = {"start": 1, "stop": 2, "step": 3}
+    for values in ({1, 2}, map(float, (1, 2)), 3.0, far, far | {"spacing": "log"}):
         with pytest.raises(SweepError, match=r"axes\.e: .*(write a list|does not lead)"):
             run(user.law, tmp_path / "s.zarr", axes={"e": values})
 
