@@ -8,8 +8,7 @@ ROOT = Path(__file__).parent.parent
 
 
 def code(document, language):
-    text = (ROOT / "docs" / document).read_text()
-    return re.findall(rf"```{language}[^\n]*\n(.*?)```", text, flags=re.DOTALL)
+    return re.findall(rf"```{language}[^\n]*\n(.*?)```", (ROOT / "docs" / document).read_text(), flags=re.DOTALL)
 
 
 def save_files(document, folder):

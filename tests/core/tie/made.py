@@ -46,8 +46,7 @@ def seen_by_satellite(reference, epsilon, omega, zero_point=0.0):
 
 
 def noise(rng, astrometry):
-    covariance = astrometry.covariance()
-    values, vectors = np.linalg.eigh(covariance)
+    values, vectors = np.linalg.eigh(astrometry.covariance())
     half = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
     return np.einsum("nij,nj->in", half, rng.normal(size=(len(astrometry), 5)))
 

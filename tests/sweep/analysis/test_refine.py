@@ -68,8 +68,7 @@ def test_every_line_gets_points_at_its_own_crossing_and_further_runs_leave_no_ga
     np.testing.assert_allclose(first[1:], math.log(5.0) / np.array([2.0, 3.0]), atol=0.001)
     new = ~np.isin(ds.x.values, ELEVEN["x"])
     assert (ds.status.values[new] == 1).sum(axis=1).tolist() == [1] * new.sum()  # on one line each
-    again = linksweep.refine(decay, "s.zarr", axes=ELEVEN | rates, within=0.01, **goal)
-    assert bare(again).equals(bare(ds))
+    assert bare(linksweep.refine(decay, "s.zarr", axes=ELEVEN | rates, within=0.01, **goal)).equals(bare(ds))
     finer = linksweep.refine(decay, "s.zarr", axes=ELEVEN | rates, within=0.001, **goal)
     assert rounds(finer)[: len(rounds(ds))] == rounds(ds)
     linksweep.run(decay, "s.zarr", axes=ELEVEN | rates, pool="serial")
