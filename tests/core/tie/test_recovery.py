@@ -36,8 +36,7 @@ def by_astropy(reference, epoch):
 
 def apparent(values, epoch):
     earth = get_body_barycentric("earth", Time(epoch, format="jyear", scale="tdb"), ephemeris="builtin")
-    seen = triad(values[0], values[1]).r - values[2] * earth.xyz.to_value(units.au)[:, None]
-    return position(seen)
+    return position(triad(values[0], values[1]).r - values[2] * earth.xyz.to_value(units.au)[:, None])
 
 
 def made(used, years, unknowns, n=30):
@@ -94,8 +93,7 @@ def test_an_orbit_solves_the_equation_of_kepler(period, e, periastron, years, in
     mean = 2.0 * np.pi * (((years - periastron) / period) % 1.0)
     anomaly = brentq(lambda x: x - e * np.sin(x) - mean, 0.0, 2.0 * np.pi, xtol=1e-14)
     north, east = np.cos(anomaly) - e, np.sqrt(1.0 - e**2) * np.sin(anomaly) * np.cos(inclination)
-    bend = bends(np.array([years]), orbit)[0]
-    np.testing.assert_allclose(bend[:, 4], [east, north, 0.0, 0.0, 0.0], atol=1e-7)
+    np.testing.assert_allclose(bends(np.array([years]), orbit)[0][:, 4], [east, north, 0.0, 0.0, 0.0], atol=1e-7)
 
 
 @given(st.floats(-20.0, 20.0))

@@ -242,6 +242,9 @@ def test_points_on_which_an_axis_has_no_effect_are_dotted_lines(tmp_path):
     ds = linksweep.run(lambda kernel, gamma=1.0: gamma, tmp_path / "s.zarr", pool="serial", **options)
     assert linksweep.plot(ds, "law").axes[0].get_legend_handles_labels()[1][0].startswith("rbf: ")  # the only line
     [axes] = linksweep.plot(ds).axes
+    apart = {"axes": {"k": [0, 1], "g": [*range(6)], "h": [*range(7)]}, "when": {"g": {"k": [0]}, "h": {"k": [1]}}}
+    ds = linksweep.run(lambda k, g=1, h=1: g - h, tmp_path / "t.zarr", pool="serial", **apart)
+    assert len(linksweep.plot(ds).axes) == 7  # lines, for a map would be empty
     [dotted] = [line for line in axes.get_lines() if line.get_linestyle() == ":"]
     assert (list(dotted.get_ydata()), axes.get_ylim()[0] < 1.0 < axes.get_ylim()[1]) == ([1.0, 1.0], True)
     assert dotted.get_color() != next(line for line in axes.get_lines() if 0.1 in line.get_ydata()).get_color()
