@@ -34,7 +34,7 @@ MC_ERRORS_ALLOWED = 3.0
 FINDS = 1.6449  # a deviation this many errors beyond what is allowed is found with a probability of 95 %
 MOST_UNSEEN = 1.0 / 3.0  # no verdict is given that would miss a larger deviation, relative to the published number
 ARITHMETIC = 1e-9  # smaller relative differences come from the arithmetic: 0.605 - 0.6 in binary is more than 0.005
-NOT_DONE, EXCLUDED = "not done yet", "excluded by the study"
+NOT_DONE = "not done yet"
 RANKS = {"computed": 0, "published": 0, "difference": 0, "power": 1, "allowance": 2}  # of the columns of numbers
 POWER = "power: the deviation from the published number that the verdict finds with a probability of 95 %"
 
@@ -81,7 +81,7 @@ def measure(dataset: xr.Dataset, claim: Derived, derived: Slope | Ratio | Readin
     raises OutsideGridError for a place that is not in the grid.
     """
     everywhere = list(_measured(dataset, claim, derived))
-    return [one for one in everywhere if not one.missing.startswith(EXCLUDED)] or everywhere
+    return [one for one in everywhere if not one.missing.startswith(quantity.EXCLUDED)] or everywhere
 
 
 def _measured(dataset: xr.Dataset, claim: Derived, derived: Slope | Ratio | Reading) -> Iterator[Measured]:
@@ -166,7 +166,7 @@ def _slope(line: laws.Line, where: Mapping[str, Any], over: str, fit: Callable[.
         return Measured(where, missing=_why(set(line.status.tolist()) - {Status.DONE}, some))
     if (n := len(line.x)) < 2:
         few = f"a slope needs two values of {over}; this grid has {n}"
-        return Measured(where, missing=few if n else f"{EXCLUDED}: every point")
+        return Measured(where, missing=few if n else f"{quantity.EXCLUDED}: every point")
     if not (np.all(line.x > 0.0) and np.all(np.isfinite(line.y)) and np.all(line.y > 0.0)):
         return Measured(where, broken="there are values that are not above 0, which have no power law")
     try:
@@ -179,7 +179,7 @@ def _slope(line: laws.Line, where: Mapping[str, Any], over: str, fit: Callable[.
 def _why(codes: set[int], subject: str) -> str:
     if Status.FAILED in codes:
         return f"failed: {subject}"
-    return f"{EXCLUDED}: {subject}" if Status.EXCLUDED in codes else f"{NOT_DONE}: {subject}"
+    return f"{quantity.EXCLUDED}: {subject}" if Status.EXCLUDED in codes else f"{NOT_DONE}: {subject}"
 
 
 # Verdicts

@@ -33,7 +33,6 @@ LEVELLING_POINTS = 4  # the fewest for the levelling law, which has three parame
 SURE = 3.0  # errors by which a value must be beyond a limit for its side to be decided
 DEVIATION_ALLOWED = 3.0  # an exponent may deviate from the expected one by this many of its errors
 P_VALUE_ALLOWED = 1e-3  # a law is said not to hold if the probability of its chi2 is lower
-EXCLUDED = "excluded by the study"
 # Errors of crossings and plateaus are made so that the truth is within this many of them as often as for a normal law.
 SIGMAS = 2.0
 # A law is judged only if the errors that points do not share are this many times the neglected second order.
@@ -308,7 +307,7 @@ def fit_power_law(
         if np.isfinite(wanted).any():
             row |= {"expected": exponent, "deviation": apart}
         within = "as expected" if abs(apart) <= DEVIATION_ALLOWED else "NOT as expected"
-        row["conclusion"] = EXCLUDED if not row["points"] else within if math.isfinite(apart) else ""
+        row["conclusion"] = quantity.EXCLUDED if not row["points"] else within if math.isfinite(apart) else ""
     shown = ["exponent", "expected", "deviation", "p_value", "points", "chi2", "dof", "amplitude", "pivot"]
     notes = _notes(f"{variable} = amplitude x ({over} / pivot)^exponent", made, rows)
     return made.dataset(rows, [*shown, "conclusion"], notes, result="law", law="power")
@@ -349,7 +348,7 @@ def fit_levelling(
     made = lines(dataset, variable, over, covariance, least=LEVELLING_POINTS)
     rows = _fitted(made, lambda x, y, errors, samples: levelling(x, y, errors, fall, samples))
     for row, line in zip(rows, made.lines, strict=True):
-        row["conclusion"] = _levelling_in_words(row, line.x, made.over_unit) if row["points"] else EXCLUDED
+        row["conclusion"] = _levelling_in_words(row, line.x, made.over_unit) if row["points"] else quantity.EXCLUDED
     formula = f"{variable}^2 = plateau^2 + c exp(-rate x {over}); errors are scaled where chi2 > dof"
     shown = ["plateau", "p_value", "points", "chi2", "dof", "conclusion"]
     return made.dataset(rows, shown, _notes(formula, made, rows), result="law", law="levelling", fall=fall)

@@ -46,6 +46,9 @@ COVARIANCE_SUFFIX = "mc_covariance"
 # Attributes: whether points of the grid share random numbers, and the axes along which they do, all by default.
 SHARES_RANDOM_NUMBERS, SHARED_AXES = "common_random_numbers", "shared_axes"
 
+# What is said of places at which a study has no point.
+EXCLUDED = "excluded by the study"
+
 
 # Quantities and their errors
 
