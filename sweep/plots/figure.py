@@ -182,12 +182,11 @@ def _suitable(dataset: xr.Dataset, variable: str, over: Sequence[str]) -> str:
     is_law = any((variable, axis) in laws for axis in numeric) and not (dataset["status"] == Status.RUNNING).any()
     if is_law and not over and not linear and array.ndim == 1:
         return "law"
-    long = {dataset[a].dims[0]: dataset[a].notnull() for a in numeric if dataset[a].size >= MAP_POINTS}
+    long = {dataset[a].dims[0]: a for a in numeric if dataset[a].size >= MAP_POINTS}
     panels = int(np.prod([n for d, n in array.sizes.items() if d not in long], dtype=int))
     is_map = not over and len(long) == 2 and panels <= MAP_PANELS
-    for has_effect in long.values():  # two axes may have one nowhere together
-        array = array.where(has_effect)
-    return "map" if is_map and array.notnull().any() else "lines"
+    # two axes may have an effect nowhere together
+    return "map" if is_map and _with_effect(dataset, [*long.values()])[variable].notnull().any() else "lines"
 
 
 def _draw(dataset: xr.Dataset, kind: str, variables: list[str], over: Sequence[str]) -> Figure:
