@@ -332,9 +332,10 @@ class Round:
         return f"{', '.join([*new, *more])} for {self.wanted}"
 
 
-def rounds_of(attributes: Mapping[str, Any]) -> list[Round]:
-    """Return the rounds that a store with these attributes records."""
-    return [Round(**one) for one in json.loads(attributes.get(REFINED, "[]"))]
+def rounds_of(*stores: Mapping[str, Any]) -> list[Round]:
+    """Return the rounds that stores with these attributes record, each once."""
+    recorded = [Round(**one) for attributes in stores for one in json.loads(attributes.get(REFINED, "[]"))]
+    return [one for number, one in enumerate(recorded) if one not in recorded[:number]]
 
 
 def refined(study: Study, rounds: Iterable[Round]) -> Study:

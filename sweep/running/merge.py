@@ -6,7 +6,7 @@ import re
 from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from functools import reduce
 from itertools import groupby, pairwise
 from typing import Any
@@ -23,7 +23,7 @@ from linksweep.sweep.functions.results import Layout, joined, layout_refusals
 from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.grid import Grid, describe, make_grid
 from linksweep.sweep.planning.plan import Plan, lost_parts
-from linksweep.sweep.planning.union import REFINED, united
+from linksweep.sweep.planning.union import REFINED, rounds_of, united
 from linksweep.sweep.running import run
 from linksweep.sweep.running.reproduce import study_of
 from linksweep.sweep.stores.integrity import LEDGER_THEN, STORE
@@ -83,9 +83,8 @@ def merge(places: Sequence[Where], into: Where, *, accept_code: bool = False, tr
     for source in reversed(sources[:-1]) if part is None else ():
         study = united(source.study, study, digests)
     about = _about(sources)
-    every = (one for source in sources for one in json.loads(source.attributes.get(REFINED, "[]")))
-    rounds = [*{str(one): one for one in every}.values()]
-    origin = {MERGED: json.dumps(about)} | ({REFINED: json.dumps(rounds)} if rounds else {})
+    rounds = rounds_of(*(source.attributes for source in sources))
+    origin = {MERGED: json.dumps(about)} | ({REFINED: json.dumps([*map(asdict, rounds)])} if rounds else {})
     require_free(place, study, about)
     _require_same_bits(sources, experiment.reducer.dtype)
     plan = Plan(make_grid(study) if part else Grid(study))  # the warnings of one run
