@@ -30,7 +30,7 @@ from linksweep.sweep.stores.integrity import LEDGER_THEN, STORE
 from linksweep.sweep.stores.ledger import Ledger, Record, references
 from linksweep.sweep.stores.location import Location, Where, holder, is_left_over, located, locked
 from linksweep.sweep.stores.store import CODE, OpenStore, Store, create_store, is_new, store_at
-from linksweep.sweep.studies.record import RECORD, recorded_study
+from linksweep.sweep.studies.record import RECORD, begun_by, recorded_study
 from linksweep.sweep.studies.study import LOST, PART, Part, Study, in_ranges
 
 # The attribute of a store made of others: JSON of where their results come from.
@@ -89,7 +89,7 @@ def merge(places: Sequence[Where], into: Where, *, accept_code: bool = False, tr
     _require_same_bits(sources, experiment.reducer.dtype)
     plan = Plan(make_grid(study) if part else Grid(study))  # the warnings of one run
     with locked(place):
-        existing = run.find_store(place, study) or create_store(place, run.attributes_of(plan) | origin)
+        existing = run.find_store(place, study) or create_store(place, run.attributes_of(plan) | begun_by() | origin)
         store = run.open_store(existing, study, writes=True)
         store.keep_copy()
         store.clear_failures([*store.failures])

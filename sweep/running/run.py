@@ -36,7 +36,7 @@ from linksweep.sweep.stores.ledger import Record
 from linksweep.sweep.stores.location import Where, holder, locked, writing
 from linksweep.sweep.stores.store import BLOCKS, CODE, OpenStore, Store, create_store, replace_store, seen, store_at
 from linksweep.sweep.studies.reader import problems_of_results
-from linksweep.sweep.studies.record import RECORD, as_recorded, provenance, recorded, recorded_study
+from linksweep.sweep.studies.record import RECORD, as_recorded, begun_by, made_by, provenance, recorded, recorded_study
 from linksweep.sweep.studies.study import PART, Study
 from linksweep.sweep.tables.columns import Flags, content_digest, rows_where
 from linksweep.sweep.tables.reader import from_frame
@@ -274,7 +274,7 @@ def hold(store: Store, study: Study) -> None:
 
 
 def attributes_of(plan: Plan) -> dict[str, Any]:
-    """Return the attributes of a store that say what its numbers mean, how they were made, and of which experiment."""
+    """Return the attributes of a store that say what its numbers mean, and of which study and experiment they are."""
     study = plan.grid.study
     return provenance(study) | identity(study) | {RECORD: recorded(study, plan.costs())}
 
@@ -466,7 +466,7 @@ class Writer:
         self._long_write = size > TUNED.long_write_bytes or dataset["status"].size > TUNED.long_write_points
         with nullcontext() if self._long_write else self._postponed(), self._lock:
             if not self.store.has(dataset):
-                self.store.write(dataset)
+                self.store.write(replace(dataset, attrs=made_by() | dataset.attrs))
             if final:
                 self.store.tidy()
         self._written = time.monotonic()
@@ -497,7 +497,6 @@ class Writer:
         which = f"{coarse:,} of {counted(points, 'point')} did not reach precision = {sampling.precision}"
         warnings = [f"{which} with max_n_sim = {sampling.most}"] if coarse else []
         return self._provenance | {
-            "finished": now(),
             "points": points,
             "points_done": done,
             "complete": int(points == done or self._has_its_part()),
@@ -522,7 +521,7 @@ class Writer:
         if not lost:
             return
         if self._rescued is None:
-            left = replace(assemble(self.plan, self.accumulator, place), attrs=self._attributes())
+            left = replace(assemble(self.plan, self.accumulator, place), attrs=made_by() | self._attributes())
             with self._postponed(), self._lock:
                 self._rescued = str(self.store.rescue(left, lost))
         more = f" and {len(lost) - 1:,} more files" if len(lost) > 1 else ""
@@ -658,7 +657,8 @@ class Session:
         ``accept_code``.
         """
         study = grid.study
-        opened = replace_store(where, attributes_of(Plan(grid))) if fresh else find_store(where, study, beside.keep)
+        begun = attributes_of(Plan(grid)) | begun_by() if fresh else {}
+        opened = replace_store(where, begun) if fresh else find_store(where, study, beside.keep)
         if opened is None:
             if retry:
                 raise SweepError("no store is there whose failed points could be computed again", str(where))
@@ -716,7 +716,8 @@ class Session:
         """Return the results of the points of the study that was asked for, and its failures by place."""
         assert self.store is not None, "it has more points"
         writer = Writer(self.asked(), self.store)
-        return masked(writer.assembled(final=True)), writer.failures()
+        dataset = masked(writer.assembled(final=True))
+        return replace(dataset, attrs=made_by() | dataset.attrs), writer.failures()
 
     def compute(
         self,
@@ -780,7 +781,7 @@ class Session:
         """Return the store, a new one if need be, which is found whole and says which code continues it."""
         study, store = self.study, self.store
         if store is None:
-            made = create_store(self._where, attributes_of(self.accumulator.plan))
+            made = create_store(self._where, attributes_of(self.accumulator.plan) | begun_by())
             store = self.store = open_store(made, study, writes=True)
             store.keep_copy()
         store.verify()

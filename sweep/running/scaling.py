@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 from linksweep.sweep.contract import FEWEST_SAMPLES, Array, SweepError, small_sample_factor
 from linksweep.sweep.executing.pools import DEFAULT_POOL, MOST_WORKERS, PoolName, Resources, available_cores
-from linksweep.sweep.formatting import described, now
+from linksweep.sweep.formatting import described
 from linksweep.sweep.planning.plan import Survey
 from linksweep.sweep.running.progress import Progress
 from linksweep.sweep.running.run import run_study
-from linksweep.sweep.studies.record import provenance
+from linksweep.sweep.studies.record import made_by, provenance
 from linksweep.sweep.studies.study import Study
 
 KINDS = ("strong", "weak")
@@ -75,10 +75,9 @@ def measure_scaling(
                 say(f"{turn + 1}/{repetitions}: {name} scaling, workers: {count}, {seconds:.2f} s")
     dataset = _dataset(np.array(workers), timed)
     return dataset.assign_attrs(
-        provenance(study),
+        provenance(study) | made_by(),
         result="scaling",
         title=f"Scaling of “{study.title}”",
-        finished=now(),
         pool=pool,
         weak_scaling_grows=grown,
         repetitions=repetitions,

@@ -57,14 +57,17 @@ def chunk_name(array: str, names: Mapping[str, str], place: tuple[int, ...]) -> 
     return f"{array}/{'c.' if names is CHUNK_NAMES[0] else ''}{'.'.join(map(str, place))}"
 
 
-def new_array(files: dict[str, Any], name: str, shape: tuple[int, ...], **how: Any) -> "zarr.Array[Any]":
-    """Return a new array of Zarr, encoded as all of a store, whose files are put among others in memory."""
+def new_array(files: dict[str, Any], name: str, values: "NDArray[Any] | Stored", **how: Any) -> "zarr.Array[Any]":
+    """Return a new array of Zarr, encoded as all of a store, whose files are put among others in memory; those of
+    values that are stored are not written.
+    """
     import zarr
     from zarr.storage import MemoryStore
 
-    how = {"chunk_key_encoding": CHUNK_NAMES[0], **how}
-    how |= {"chunks": chunk_shape(shape), "compressors": CODECS, "config": {"write_empty_chunks": True}}
-    return zarr.create_array(MemoryStore(files), name=name, shape=shape, **how)
+    how = {"chunk_key_encoding": CHUNK_NAMES[0], "chunks": chunk_shape(values.shape), "compressors": CODECS, **how}
+    # with its data: to write it in a second call would double the time of a short run's results
+    how |= {"shape": values.shape, "dtype": values.dtype} if isinstance(values, Stored) else {"data": values}
+    return zarr.create_array(MemoryStore(files), name=name, config={"write_empty_chunks": True}, **how)
 
 
 def references(rows: Rows) -> set[bytes]:
@@ -90,7 +93,7 @@ def _put(array: NDArray[Any], location: Location) -> NDArray[np.void]:
     if array.dtype == REFERENCE:
         return array
     files: dict[str, Any] = {}
-    new_array(files, ARRAY, array.shape, dtype=array.dtype, fill_value=absent(array.dtype))[...] = array
+    new_array(files, ARRAY, array, fill_value=absent(array.dtype))
     chunks: list[bytes] = []
     for place in np.ndindex(chunk_grid(array.shape)):
         content = files.pop(chunk_name(ARRAY, CHUNK_NAMES[0], place)).to_bytes()
@@ -146,8 +149,8 @@ class Stored:
         """The array of Zarr, whose chunks are read from the store."""
         chunks = {file: chunk for file, _, chunk in self.files(ARRAY, CHUNK_NAMES[0]) if any(chunk)}
         dims = [f"dim_{k}" for k in range(len(self.shape))]
-        how = {"dtype": self.dtype, "fill_value": absent(self.dtype), "dimension_names": dims}
-        return new_array(Files(self.location, chunks, {}), ARRAY, self.shape, **how)
+        how = {"fill_value": absent(self.dtype), "dimension_names": dims}
+        return new_array(Files(self.location, chunks, {}), ARRAY, self, **how)
 
     def __getitem__(self, index: Any) -> Any:
         return self.array[index]

@@ -50,9 +50,6 @@ CODE = "code"
 ORIGIN = "written_by"
 """The attribute of a store that tells who wrote it, as JSON."""
 
-# The attributes that are others in each run, though all else is the same.
-OF_ONE_RUN = ("finished", "command")
-
 RESCUED = "rescued_of"
 """The attribute of a store of results alone: of which store they are that was lost while a run wrote to it."""
 
@@ -240,12 +237,12 @@ class Store(OpenStore):
         self._files = in_use - gone
 
     def has(self, dataset: Any) -> bool:
-        """Return whether this dataset, but for when and by which command, is what was written last of these rows, and
-        every file of it is whole: then there is nothing to write.
+        """Return whether this dataset is what was written last of these rows, and every file of it is whole: then there
+        is nothing to write.
         """
         then = self._ledger.manifest.model_dump_json()
         wanted = {**dataset.attrs, ORIGIN: origin(self.location), LEDGER_THEN: then}
-        same = all(self.attributes.get(name) == value for name, value in wanted.items() if name not in OF_ONE_RUN)
+        same = all(self.attributes.get(name) == value for name, value in wanted.items())
         if not same or arrays_of(self.root).keys() != dataset.variables.keys():
             return False
         report = Report({}, {}, {})
@@ -561,10 +558,9 @@ def encode(
             attributes[FILL], how["fill_value"] = MISSING_FLOAT, np.nan
         elif FILL in variable.encoding:
             attributes[FILL] = variable.encoding[FILL]
-        how |= {"dtype": values.dtype, "dimension_names": variable.dims, "attributes": attributes}
-        array = ledgers.new_array(files, name, values.shape, chunk_key_encoding=chunk_names, **how)
+        how |= {"chunk_key_encoding": chunk_names, "dimension_names": variable.dims, "attributes": attributes}
+        array = ledgers.new_array(files, name, values, **how)
         if not isinstance(values, ledgers.Stored):
-            array[...] = values
             continue
         # The first point is written as a missing one: all others that are missing have the same chunks.
         array[(0,) * (values.chunks.ndim - 1)] = absent(values.dtype)

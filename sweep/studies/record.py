@@ -4,6 +4,7 @@ import json
 import platform
 import subprocess
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import fields, replace
 from functools import cache
 from pathlib import Path
@@ -145,7 +146,7 @@ def _tuples(value: Any) -> Any:
 
 
 def provenance(study: Study) -> dict[str, Any]:
-    """Return the attributes of a result that say how it was made; plain strings and numbers."""
+    """Return the attributes of a result that say what it is of; plain strings and numbers."""
     experiment, sampling, points = study.experiment, study.sampling, study.points
     common = sampling.common_random_numbers
     defined = {
@@ -175,15 +176,10 @@ def provenance(study: Study) -> dict[str, Any]:
         OUTER_DRAW: experiment.outer_draw if experiment.outer_draw not in ("", "outer draw") else None,
         CITATION: json.dumps(experiment.citation) if experiment.citation else None,
         "study_document": json.dumps(study.document),
-        "versions": json.dumps({"python": platform.python_version()} | {p: version_of(p) for p in PACKAGES}),
-        "host": host(),
-        "machine": f"{platform.system()} {platform.machine()}",
-        "command": command_line() or None,
         "started": now(),
         "defined": json.dumps(defined) if defined else None,
         "claims": json.dumps(about) if about else None,
         "conclusion": conclusion.model_dump_json(exclude_none=True, exclude_defaults=True) if conclusion else None,
-        "git_commit": git_commit(),
         PART: None if study.part is None else str(study.part),
     }
     return {name: value for name, value in attributes.items() if value is not None}
@@ -194,20 +190,39 @@ def outer_draw_of(attributes: Mapping[Any, Any]) -> str:
     return str(attributes.get(OUTER_DRAW, "outer draw" if "experiment" in attributes else "catalogue"))
 
 
+def begun_by() -> dict[str, str]:
+    """Return the attributes of a result that say by what it is made: this process, its command and its packages."""
+    _asked_git()  # which takes as long to answer as a short run to compute
+    attributes = {
+        "versions": json.dumps({"python": platform.python_version()} | {p: version_of(p) for p in PACKAGES}),
+        "host": host(),
+        "machine": f"{platform.system()} {platform.machine()}",
+        "command": command_line(),
+    }
+    return {name: value for name, value in attributes.items() if value}
+
+
+def made_by() -> dict[str, str]:
+    """Return those of one that is written now: the commit, too, and the time."""
+    return begun_by() | ({"git_commit": commit} if (commit := git_commit()) else {}) | {"finished": now()}
+
+
 @cache  # this process computes with the code that it has imported
-def git_commit() -> str | None:
-    """Return the commit of the checkout this package runs from, with '+changes' if it was edited; None outside a
-    checkout, without starting git.
-    """
+def _asked_git() -> "subprocess.Popen[str] | None":
+    """Start git in the checkout this package runs from, to say its commit; None outside one, and without git."""
     folder = Path(__file__).resolve().parents[2]
-    if not (folder / ".git").exists():
-        return None
     # without optional locks: an interruption may kill git, which would leave its lock in the checkout
     command = ["git", "--no-optional-locks", "-C", str(folder), "describe", "--always", "--exclude=*", "--abbrev=40"]
-    try:
-        described = subprocess.run(
-            [*command, "--dirty=+changes"], capture_output=True, text=True, timeout=5, check=True
-        )
-        return described.stdout.strip()
-    except (OSError, subprocess.SubprocessError):
-        return None
+    command.append("--dirty=+changes")
+    with suppress(OSError):
+        if (folder / ".git").exists():
+            return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+    return None
+
+
+@cache
+def git_commit() -> str:
+    """Return the commit of the checkout, with '+changes' if it was edited; '' where git does not say it."""
+    with suppress(subprocess.SubprocessError):
+        return process.communicate(timeout=5)[0].strip() if (process := _asked_git()) else ""
+    return ""

@@ -28,7 +28,7 @@ from linksweep.sweep.stores.ledger import file_of, path_of
 from linksweep.sweep.stores.location import Folder, Holder, holder, located, locked, short_name, store_named
 from linksweep.sweep.stores.store import OpenStore, Store, check, chunk_checksums, create_store, open_dataset, repair
 from linksweep.sweep.studies.reader import load_study, study_from_dict
-from linksweep.sweep.studies.record import provenance
+from linksweep.sweep.studies.record import begun_by, provenance
 from linksweep.sweep.studies.study import POINT, POINT_TABLE
 from linksweep.sweep.table_writer import Column, Table
 
@@ -135,7 +135,7 @@ def existing_store(where, study):
 
 def create_or_resume(where, study, attributes=None):
     study = study_from_dict(study) if isinstance(study, dict) else study
-    attributes = provenance(study) if attributes is None else attributes
+    attributes = provenance(study) | begun_by() if attributes is None else attributes
     opened = find_store(where, study) or create_store(where, {**attributes, **identity(study)})
     store = open_store(opened, study, writes=True)
     store.keep_copy()
