@@ -263,15 +263,11 @@ def is_xarray(value: object) -> bool:
 
 
 def unit_of(value: Any) -> str:
-    """Return the unit that a value carries as xarray, quantities and columns of astropy do, '' for none."""
-    unit = value.attrs.get("units", "") if is_xarray(value) else getattr(value, "unit", "")
-    return str(unit) if is_xarray(value) or hasattr(unit, "is_equivalent") else ""  # times of pandas have texts
-
-
-def _unit(value: Any) -> str:
-    """Return the unit of a result, which may be a quantity of pint or unyt, or an xarray object with one."""
-    data = getattr(value, "data", value) if is_xarray(value) else value
-    return unit_of(value) or str(getattr(data, "units", "")).replace("dimensionless", "")
+    """Return the unit that a value has: a column, a quantity of astropy, pint or unyt, or in xarray; '' for none."""
+    stated, data = (value.attrs.get("units"), getattr(value, "data", None)) if is_xarray(value) else (None, value)
+    unit = getattr(data, "unit", None)
+    unit = unit if hasattr(unit, "is_equivalent") else getattr(data, "units", "")  # times of pandas have texts
+    return str(stated or unit).replace("dimensionless", "")
 
 
 IN_UTC = (
@@ -285,7 +281,7 @@ def value_of(value: Any) -> Value:
         value = value.to_xarray()
     if isinstance(value, Mapping):  # a Dataset of xarray too
         raise ResultError(f"is a {type(value).__name__}; results are not nested: return its entries by their names")
-    dims, coordinates, unit, meaning = None, tuple[Coordinate, ...](), _unit(value), ""
+    dims, coordinates, unit, meaning = None, tuple[Coordinate, ...](), unit_of(value), ""
     if "since" in unit:  # a word by which readers of CF take any numbers for dates, or refuse the whole file
         raise ResultError(f"has the unit {shown(unit)}: return times, or numbers with a unit such as 'd'")
     if is_xarray(value):
@@ -310,7 +306,7 @@ def _typed(value: Any) -> tuple[Type, NDArray[Any]]:
     """Return the type of a value that is no xarray object, and its array; raises ResultError as `value_of`."""
     if isinstance(value, list | tuple):
         kinds = {kind for kind in set(map(type, value)) if {"unit", "units", "attrs"} & {*dir(kind)}}
-        if kinds and any(_unit(one) for one in value if type(one) in kinds):
+        if kinds and any(unit_of(one) for one in value if type(one) in kinds):
             raise ResultError("is a list of quantities; make one of them: astropy.units.Quantity(...)")
         try:
             array = np.asarray(value)

@@ -221,7 +221,8 @@ class Values:
 
 def has_unit(value: Any) -> bool:
     """Return whether a value is a quantity, a column with a unit, or an array of xarray with one."""
-    return is_quantity(value) or bool(unit_of(value))
+    is_list = getattr(value, "ndim", 0) and hasattr(value, "units") and hasattr(value, "to")  # of those of pint or unyt
+    return is_quantity(value) or bool(unit_of(value) and not is_list)
 
 
 def without_unit(value: Any, parameter: Parameter) -> Any:
@@ -659,8 +660,8 @@ def column_of(column: Any, is_whole: bool = False) -> Column:
     """Return a column, an array or a value as Python has it; where it ``is_whole``, of a table of astropy, NaN is
     missing, and elsewhere it is a value.
     """
-    numbers, mask = getattr(column, "unmasked", column), getattr(column, "mask", False)
-    array = np.ma.masked_array(numbers.value, mask) if is_quantity(column) else np.ma.asarray(column)
+    numbers, mask = getattr(column, "unmasked", getattr(column, "magnitude", column)), getattr(column, "mask", False)
+    array = np.ma.masked_array(numbers.value if is_quantity(column) else numbers, mask)
     cells = [None if is_whole and is_empty(cell) else cell for cell in np.atleast_1d(array).tolist()]
     return Column([cell.decode() if isinstance(cell, bytes) else cell for cell in cells], unit_of(column))
 
@@ -796,12 +797,12 @@ def plain(value: Any, where: str, deep: bool = True) -> Any:
             return {str(key): plain(item, f"{where}.{key}", deep) for key, item in value.items()}
         with refused(ValueError, said=f"{where}: "):
             return [labelled(one, label) for label, one in value.items()]
-    value = value.item() if deep and isinstance(value, np.generic) else value
     if not hasattr(value, "tolist") and hasattr(getattr(value, "values", None), "tolist"):  # of xarray
         value = value.values
+    kind = getattr(getattr(value, "dtype", None), "kind", "")
     if not deep and getattr(value, "ndim", 1) > 1:
         value = list(np.asanyarray(value))  # each an object
-    elif hasattr(value, "tolist") and getattr(getattr(value, "dtype", None), "kind", "") in PLAIN:
+    elif hasattr(value, "tolist") and kind in PLAIN and not unit_of(value):
         return value.tolist()
     # Neither what gives its values only once, nor a set, whose order differs between processes: both are refused later.
     if not np.iterable(value) or isinstance(value, str | bytes | set | frozenset | Iterator):

@@ -111,23 +111,21 @@ WRONG = [
 ]
 LONG = 86.85482395804122
 HERE, GIVE = xr.DataArray([1.0, 2.0], dims="d", attrs={"units": "km"}), "declare its unit, or annotate it with Quantity"
-DISTANCES = QTable({"distance": Masked([1.0, 2.0] * u.km, mask=[False, True])})
 idle = experiment(when={"k": {"beta": [3.0]}})(lambda beta=1.0, k=1: beta)
-pointed = experiment()(lambda point=1.0, k=1: point * k)
 ALL_WRONG = [
     *((f, {"points": points}, problem) for points, problem in WRONG),
     *((far, {"axes": {"distance": [1], "n": some}}, GIVE) for some in (HERE, HERE.values * u.s)),
     (far, {"points": {"distance": [1], "n": [1 * u.km]}}, "points.columns.n: row 1: is in km, and the parameter"),
     (far, {"points": {"design": "random", "n": 1, "ranges": {"distance": HERE}}}, "distance: is in km; give numbers"),
     (far, {"axes": {"distance": [1.0] * u.s}}, "axes.distance: is in s, and the parameter is in m"),
-    (far, {"points": DISTANCES}, "points.columns.distance: has no value in row 2"),
+    (far, {"points": QTable({"distance": Masked([1.0, 2.0] * u.km, mask=[0, 1])})}, "distance: has no value in row 2"),
     (far, {"points": {"columns": {"distance [cm]": [1.0]}, "units": {"distance": "m"}}}, "is in cm, and not in m"),
     # which parameters a wrong table has is not known: those without a default are not asked for
     (far, {"points": sobol(n="4")}, "points.n: input should be a valid integer, not '4'"),
     (f, {"points": {"beta": [1.0]}, "axes": {"beta": [1.0, 2.0]}}, "beta: is an axis too"),
     (f, {"points": {"k": [1]}, "fixed": {"k": 2}}, "k: is fixed too"),
     (f, {"points": {"k": [1], "w": [object()]}, "labels": "w"}, "points.labels: 'w': <object object at"),
-    (pointed, {"points": {"k": [1, 2]}, "fixed": {"point": 1.0}}, "has a 'point' of its own"),
+    (lambda point=1.0, k=1: k, {"points": {"k": [1, 2]}, "fixed": {"point": 1.0}}, "has a 'point' of its own"),
 ]
 
 
@@ -172,8 +170,12 @@ def test_a_design_of_no_power_of_two_and_conditions_of_nothing_are_warned_of(swe
 
 
 KM = HERE.values * u.km
+ITEMS = {"units": "km", "to": None, "__iter__": lambda some: (some[k : k + 1].reshape(()) for k in range(len(some)))}
+FOREIGN = HERE.values.view(type("Foreign", (np.ndarray,), ITEMS))  # as of unyt
 CARRIED = [(far, "axes", one) for one in (Table({"d": KM})["d"], {"start": KM[0], "stop": KM[1], "num": 2})]
-CARRIED += [(far, key, some) for key in ("axes", "points") for some in (HERE, [*HERE])] + [(far, "fixed", HERE[1])]
+CARRIED += [(far, key, some) for key in ("axes", "points") for some in (HERE, [*HERE], FOREIGN)] + [
+    (far, "fixed", HERE[1])
+]
 CARRIED += [(f, *one) for f in (far, measured) for key in ("axes", "points") for one in ((key, KM), (key, [*KM]))]
 
 
