@@ -8,6 +8,7 @@ from contextlib import suppress
 from dataclasses import fields, replace
 from functools import cache
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 from linksweep.sweep.code import Code, SourceFunction, version_of
@@ -192,7 +193,8 @@ def outer_draw_of(attributes: Mapping[Any, Any]) -> str:
 
 def begun_by() -> dict[str, str]:
     """Return the attributes of a result that say by what it is made: this process, its command and its packages."""
-    _asked_git()  # which takes as long to answer as a short run to compute
+    with _GIT:
+        _asked_git()  # which takes as long to answer as a short run to compute
     attributes = {
         "versions": json.dumps({"python": platform.python_version()} | {p: version_of(p) for p in PACKAGES}),
         "host": host(),
@@ -204,7 +206,13 @@ def begun_by() -> dict[str, str]:
 
 def made_by() -> dict[str, str]:
     """Return those of one that is written now: the commit, too, and the time."""
-    return begun_by() | ({"git_commit": commit} if (commit := git_commit()) else {}) | {"finished": now()}
+    begun = begun_by()
+    with _GIT:
+        commit = git_commit()
+    return begun | ({"git_commit": commit} if commit else {}) | {"finished": now()}
+
+
+_GIT = Lock()  # several threads may run studies
 
 
 @cache  # this process computes with the code that it has imported
