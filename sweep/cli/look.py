@@ -493,8 +493,8 @@ def _lines(one: "Watched", width: int) -> "Iterable[Text]":
     for row in one.tiles(MOST_ROWS * width, width):
         times = 2 if 2 * len(row) <= width else 1
         yield Text.assemble(*((times * _mark(tile), COLOURS.get(tile.state, "dim")) for tile in row))
-    for points, record in one.reasons[:NAMED]:
-        line = f"{counted(points, 'point')} failed: {short(record['message'])}, for example at {record['place']}"
+    for points, place, record in one.reasons[:NAMED]:
+        line = f"{counted(points, 'point')} failed: {short(record['message'])}, for example at {place}"
         yield Text(harmless(line), "red")
 
 

@@ -101,7 +101,7 @@ class Children:
     def __exit__(self, kind: type[BaseException] | None, *_error: object) -> None:
         end = time.monotonic() + (END_S if kind is None else 0.0)
         children = [*self._children, *filter(None, [self._second])]
-        for child in children:
+        for child in children if kind is None else ():
             child.send(None)  # one that waits for a task cleans up and ends
         for child in children:
             child.end(end - time.monotonic())
@@ -280,8 +280,9 @@ class _Child:
                 start = f"from linksweep.sweep.executing.executor import compute_anew; compute_anew({theirs.fileno()})"
                 files: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": self._words, "stderr": self._words}
                 self._process = new_process(start, **files, pass_fds=[theirs.fileno()])
-                self.send((sendable(*self._code), *self._code))
             theirs.close()
+        if not self._forked:  # now: where it has ended already, nobody else has the other end
+            self.send((sendable(*self._code), *self._code))
 
     def begin(self, task: Task | Call) -> None:
         """Give the process a task."""

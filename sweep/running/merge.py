@@ -321,14 +321,13 @@ def _is_after(key: bytes, failed: Mapping[bytes, Record]) -> bool:
 
 def _fail(store: Store, accumulator: Accumulator, failed: Mapping[bytes, Record]) -> None:
     """Let those points fail of which not all blocks are there."""
-    grid = accumulator.plan.grid
-    points = {point.digest: point for point in (grid.points() if failed else ())}
+    points = {point.digest: point for point in (accumulator.plan.grid.points() if failed else ())}
     for digest, record in failed.items():
         if (point := points.get(digest)) is None:
             store.fail(digest, record)
         elif not accumulator.is_done(point.index):
             accumulator.fail(point.index)
-            store.fail(digest, {"place": describe(grid.study, point.parameters), **record})
+            store.fail(digest, record)
 
 
 def _about(sources: Sequence[_Source]) -> list[dict[str, Any]]:

@@ -27,7 +27,7 @@ from linksweep.sweep.executing.task import Batch, Executor, Failure, TaskResult
 from linksweep.sweep.formatting import counted, host, now
 from linksweep.sweep.interrupt import watched
 from linksweep.sweep.planning.accumulator import TUNED, Accumulator, Pending
-from linksweep.sweep.planning.grid import AT_ONCE, Grid, GridPoint, describe, failures_by_place, make_grid
+from linksweep.sweep.planning.grid import AT_ONCE, Grid, GridPoint, failures_by_place, make_grid
 from linksweep.sweep.planning.plan import TARGET, Plan, PlanSize, Survey, Work
 from linksweep.sweep.planning.union import REFINED, UNITED, united, with_numbers_of
 from linksweep.sweep.running.progress import FIRST, SILENT, FailureCount, MaxFailures, Progress, Taken
@@ -220,7 +220,7 @@ def again_where(store: Store, study: Study, condition: str) -> dict[bytes, Recor
     again = dict[bytes, Record | None].fromkeys(made.difference(point.digest for point in points))
     for point, is_met in zip(points, met, strict=True):
         if point.digest in left or (is_met and (point.digest in old or not left)):
-            again[point.digest] = {"place": describe(study, point.parameters), **record}
+            again[point.digest] = record
     return again
 
 
@@ -593,9 +593,8 @@ class Writer:
 
     def _fail(self, point: GridPoint, failure: Failure, block: Block | None = None) -> None:
         self.accumulator.fail(point.index)
-        place = describe(self.plan.grid.study, point.parameters)
         where = {} if block is None else {BLOCK: f"{block.group} {block.part}"}
-        self.store.fail(point.digest, {"place": place, **vars(failure), **where, "host": host(), "when": now()})
+        self.store.fail(point.digest, {**vars(failure), **where, "host": host(), "when": now()})
 
 
 # What follows why a run was ended.
@@ -632,9 +631,9 @@ class Session:
     dataset.  Whoever computes holds the lock of the store; without ``writes`` nothing can be written to it.
     """
 
-    def __init__(self, where: Where, accumulator: Accumulator, store: Store | None, is_new: bool) -> None:
+    def __init__(self, where: Where, accumulator: Accumulator, store: Store | None = None) -> None:
         """Start with what the open ``store`` has, if there is one."""
-        self._where, self.accumulator, self.store, self._is_new = where, accumulator, store, is_new
+        self._where, self.accumulator, self.store, self._is_new = where, accumulator, store, store is None
         self._asked: Study | None = None
         self.is_left_alone = False
 
@@ -664,7 +663,7 @@ class Session:
                 raise SweepError("no store is there whose failed points could be computed again", str(where))
             if beside.redo:
                 where_met(study, list(grid.points()), beside.redo)
-            return cls(where, Accumulator(Plan(grid)), None, is_new=True)
+            return cls(where, Accumulator(Plan(grid)))
         store = open_store(opened, study, writes)
         study, whole, wanted = with_stored(store, study, beside.only)
         records = again_where(store, whole, beside.redo) if beside.redo else {}
@@ -682,7 +681,7 @@ class Session:
         wanted = None if wanted is None else wanted | again
         plan = Plan(grid) if whole is grid.study else Plan(Grid(whole, grid.said))
         accumulator = accumulated(plan, store, again, wanted)
-        session = cls(where, accumulator, store, is_new=fresh)
+        session = cls(where, accumulator, store)
         if whole is not study:
             session._asked = study
             is_stored = store.attributes.get("study_digest") == whole.digest() and "points" in store.attributes
@@ -715,9 +714,10 @@ class Session:
     def part(self) -> tuple[Labelled, dict[str, str]]:
         """Return the results of the points of the study that was asked for, and its failures by place."""
         assert self.store is not None, "it has more points"
-        writer = Writer(self.asked(), self.store)
+        writer, whole = Writer(self.asked(), self.store), provenance(self.study)
         dataset = masked(writer.assembled(final=True))
-        return replace(dataset, attrs=made_by() | dataset.attrs), writer.failures()
+        made = {name: value for name, value in seen(self.store.attributes).items() if name not in whole}
+        return replace(dataset, attrs=made | dataset.attrs), writer.failures()
 
     def compute(
         self,
@@ -747,7 +747,7 @@ class Session:
         with self._kept(writer):
             results = execute(take)
             # A labelled dataset from the start; not an empty one, for which the workers would wait, in a short run.
-            short = 256 * TARGET if self._is_new else TARGET
+            short = TARGET if survey.stored.blocks else 256 * TARGET
             if pending.blocks and (not study.experiment.says_cost or pending.cost > short):
                 writer.write()
             elif pending.cost > TARGET:  # now, while workers begin: the end of the run would wait for it

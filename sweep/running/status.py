@@ -213,8 +213,8 @@ class Watched:
 
     ``state`` is "waiting" (for the store), "gone", "unreadable" or as `_state_of` says, and
     ``words`` say more; ``opened`` is the store as it was last read.  ``reasons`` say how many points failed for
-    each reason, the most frequent first, with the record of one of them.  ``status`` and ``share``, which of their
-    realisations is done, are those of all points in C order.
+    each reason, the most frequent first, with the place of one of them and a record.  ``status`` and ``share``, which
+    of their realisations is done, are those of all points in C order.
     """
 
     def __init__(self, where: Where) -> None:
@@ -229,7 +229,7 @@ class Watched:
         self._points: _Points | None = None
         self._asked: tuple[Any, ...] = ()
         self._parts: dict[str, NDArray[Any]] = {}
-        self.reasons: list[tuple[int, Record]] = []
+        self.reasons: list[tuple[int, str, Record]] = []
         self._places: list[str] = []
         self._is_written = False
         self._ended = math.inf  # points or realisations
@@ -287,11 +287,6 @@ class Watched:
     def _take(self, opened: OpenStore, points: _Points, content: bytes | None) -> None:
         manifest = newest(content, manifest_of(opened.root))
         failed = read_failures(self.location, manifest)
-        is_shown = points.find(_numbers(failed)[:, 0]) >= 0  # others have left the dataset
-        failed = {digest: failed[digest] for digest, shown in zip(failed, is_shown, strict=True) if shown}
-        by_place = {record["place"]: record for record in failed.values()}
-        reasons = Reasons({place: record["message"] for place, record in by_place.items()})
-        self.reasons = [(points, by_place[place]) for points, place, _ in reasons.most()]
         new = [part for part in manifest.parts if part.rows.name not in self._parts]
         keys = zip(new, read_keys(self.location, new), strict=True)
         known = self._parts | {part.rows.name: points.blocks(*one) for part, one in keys}
@@ -299,6 +294,9 @@ class Watched:
         self._is_written = manifest == manifest_of(opened.root)
         blocks = np.hstack([np.zeros((3, 0)), *self._parts.values()])
         self.status, realisations, self.share = points.progress(opened, blocks, failed)
+        records = {record["message"]: record for record in failed.values()}
+        reasons = Reasons(failures_by_place(points.grid, self.status, failed)).most()
+        self.reasons = [(number, place, records[message]) for number, place, message in reasons]
         left = float((points.cost * (1.0 - self.share))[self.status == MISSING].sum())
         ended = int(np.isin(self.status, (DONE, FAILED)).sum() if points.noun == "points" else realisations.sum())
         now = time.monotonic(), left, ended, blocks.shape[1]

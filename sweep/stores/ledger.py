@@ -207,7 +207,7 @@ CHANGED = "its ledger was removed, or changed by others, during this run"
 REPAIR = "`sweep check STORE --repair` repairs what can be repaired"
 
 Record = dict[str, str]
-"""The record of a failed point: place, kind, message, traceback, host, when."""
+"""The record of a failed point: kind, message, traceback, host, when."""
 
 Blocks = tuple[NDArray[Any], NDArray[Any]]
 """Rows with their keys, and the samples of them all one after the other."""

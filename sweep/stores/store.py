@@ -352,7 +352,7 @@ def create_store(where: Where, attributes: Mapping[str, Any]) -> OpenStore:
 def replace_store(where: Where, attributes: Mapping[str, Any]) -> OpenStore | None:
     """Begin a store anew: remove the ledger and the results of the one that is there; None where there is none.
 
-    ledgers.Files that linksweep did not write are left alone.  Raises SweepError where something other than a store is.
+    Files that linksweep did not write are left alone.  Raises SweepError where something other than a store is.
     """
     location = located(where)
     root = find_root(location)

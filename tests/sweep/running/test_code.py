@@ -183,18 +183,18 @@ def test_fresh_replaces_a_store_and_nothing_else(folder, sweep):
     change(folder, "deeper")
     write_study(folder, "rate = [2.0, 3.0]")
     (folder / "s.zarr" / "notes.txt").write_text("mine")
+    (folder / "refused.py").write_text("import os\ndef f(x: float):\n    return os.urandom(6).hex()\n")
+    sweep("run", "refused.py:f", "--axis", "x=1,2", "-o", "s.zarr", "--fresh", cwd=folder, code=2)
     sweep("run", "s.toml", "-o", "s.zarr", "--fresh", cwd=folder, code=0)
     dataset = linksweep.open(folder / "s.zarr")
-    assert dataset["mean"].values.tolist() == [200.0, 300.0]
-    assert "code" not in dataset
+    assert (dataset["mean"].values.tolist(), "code" in dataset) == ([200.0, 300.0], False)
     assert (folder / "s.zarr" / "notes.txt").read_text() == "mine"
     assert sweep("check", "s.zarr", cwd=folder)[0] == 0
     (folder / "other").mkdir()
     (folder / "other" / "thesis.txt").write_text("years of work")
-    for place in ("other", "helper.py"):
-        assert sweep("run", "s.toml", "-o", place, "--fresh", cwd=folder)[0] == 2
+    for place, code in (("other", 2), ("helper.py", 2), ("none.zarr", 0)):
+        sweep("run", "s.toml", "-o", place, "--fresh", cwd=folder, code=code)
     assert [path.read_text() for path in (folder / "other").iterdir()] == ["years of work"]
-    assert sweep("run", "s.toml", "-o", "none.zarr", "--fresh", cwd=folder)[0] == 0
 
 
 @pytest.mark.parametrize("pool", ["serial", slow("threads"), slow("processes")])

@@ -233,13 +233,14 @@ def test_points_beside_a_table_are_a_table(into, tmp_path):
     assert set(rows) == {(1.0, 3, 3.0), (2.0, 3, 6.0), (5.0, 5, 25.0)}
 
 
-def test_failures_are_kept_unless_the_other_store_has_the_point(into, tmp_path):
-    b, c, d, e = (tmp_path / name for name in "bcde")
-    for store, k in (("a", [1, 7]), ("b", [2])):
-        into(store, axes={"k": k}, fixed={"word": "b"})
-    ds = merge([tmp_path / "a", b], c)
-    assert json.loads(ds.attrs["failures"]) == {"k=7": "ValueError: no b at 1.0"}
-    assert ds.status.values.tolist() == [1, 1, 2]
+def test_failures_are_kept_unless_the_other_store_has_the_point(into, tmp_path, sweep):
+    a, b, c, d, e, f = (tmp_path / name for name in "abcdef")
+    for store, k, x in (("a", [1, 7], 1.0), ("b", [2], 1.0), ("f", [7], 2.0)):
+        into(store, axes={"k": k}, fixed={"word": "b", "x": x})
+    merge([a, f], tmp_path / "g")
+    assert "2 points failed: ValueError: no b at 1.0, for example at k=7,x=1.0" in sweep("watch", tmp_path / "g")[1]
+    ds = merge([a, b], c)
+    assert (ds.attrs["failures"], ds.status.values.tolist()) == ('{"k=7": "ValueError: no b at 1.0"}', [1, 1, 2])
     told = json.loads(ds.attrs[MERGED])
     assert [one["store"].rpartition("/")[2] for one in told] == ["a", "b"]
     assert told[1]["study_digest"] == OpenStore(b).attributes["study_digest"]

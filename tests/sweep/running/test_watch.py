@@ -82,7 +82,7 @@ def test_the_points_are_those_of_the_status(tmp_path_factory, xs, sims, tasks, f
             assert report["realisations_done"] == int(dataset["n_sim_done"].sum())
             assert counts["done"] == int((dataset["status"] == 1).sum())
         assert (watched.is_over, watched.state) == (True, "stopped" if counts["missing"] else "finished")
-        assert sum(points for points, _ in watched.reasons) == len(report["failures"])
+        assert sum(points for points, *_ in watched.reasons) == len(report["failures"])
         assert watched.bar["running"] + watched.bar["waiting"] == counts["missing"]
         tiles = [tile for row in watched.tiles(2000, 2000) for tile in row]
         assert watched.status.size - counts["excluded"] <= len(tiles) <= watched.status.size
