@@ -140,8 +140,7 @@ def run(
     """
     if type(verify) is not int or verify < 0:
         raise SweepError(f"verify = {shown(verify)}: must be a number of points, from 0")
-    if retry and (fresh or only or keep or redo or part):
-        raise SweepError("retry = True: does not go with fresh, only, keep, redo and part")
+    beside = Beside(retry, fresh, only, keep, redo)
     options = {"axes": axes, "fixed": fixed, "sampling": sampling, "title": title}
     loaded = _study(study, options | {"points": points, "labels": labels, "exclude": exclude, "when": when})
     if not deterministic:
@@ -154,8 +153,7 @@ def run(
     resources = Resources(workers, pool, scheduler, cluster=file, limits=limits, dashboard=dashboard, client=client)
     most = _parsed("max_failures", max_failures, watching.MaxFailures.parsed)
     with _watching(loaded, progress) as watcher:
-        further: dict[str, Any] = {"accept_code": accept_code, "fresh": fresh, "beside": Beside(only, keep, redo)}
-        dataset, failures = run_study(loaded, place, resources, watcher, retry, max_failures=most, **further)
+        dataset, failures = run_study(loaded, place, resources, watcher, accept_code, most, beside)
     if failures:
         log.warning("%s: %s", place, harmless(watching.failed_points(failures)))
     if verify and (differing := verified(loaded, place, verify).differing):

@@ -33,7 +33,7 @@ from linksweep.sweep.tie.options import FORECAST, TIE, ApplyOptions, ForecastOpt
 if TYPE_CHECKING:
     import xarray as xr
 
-    from linksweep.sweep.running import progress, results
+    from linksweep.sweep.running import progress, results, run as runs
     from linksweep.sweep.stores.location import Location
     from linksweep.sweep.studies.study import Part
 
@@ -186,11 +186,10 @@ class Running:
 
 
 def run_with_progress(
-    study: "linksweep.Study", store: "Location", how: Running, retry: bool = False, fresh: bool = False, **beside: Any
+    study: "linksweep.Study", store: "Location", how: Running, beside: "runs.Beside | None" = None
 ) -> "tuple[results.Labelled, dict[str, str]]":
     """Run a study with progress; print its table, then what the run took, and the answer last, or JSON alone.  Return
-    the results, and why points failed.  The fields of `Beside` say what becomes of other points of the store.  An
-    interruption ends the command.
+    the results, and why points failed.  An interruption ends the command.
     """
     from linksweep.sweep.analysis.answer import CONCLUSION, answer_in_short
     from linksweep.sweep.running import progress as watching, run as running
@@ -199,8 +198,8 @@ def run_with_progress(
     shown = watching.TerminalProgress(study, not how.watching.quiet, how.watching.events)
     with cli.a_signal_ends_the_command(), _logged(how.watching), shown as progress:
         try:
-            rest = how.break_lock, how.accept_code, fresh, how.max_failures, running.Beside(**beside)
-            dataset, failures = running.run_study(study, store, how.resources, progress, retry, *rest)
+            rest = how.accept_code, how.max_failures, beside or running.ALL, how.break_lock
+            dataset, failures = running.run_study(study, store, how.resources, progress, *rest)
         except RunInterruptedError as stop:
             progress.stopped(stop.signal.name, store)
             cli.end_stopped(stop.signal)
@@ -262,13 +261,13 @@ def run(
     sweep run --retry results/quasars.zarr
     sweep run quasars --part 3/100
     """
-    if retry and (fresh or part):
-        other = "contradict each other" if fresh else "do not go together: name the store of the part"
-        raise click.UsageError(f"--retry and {'--fresh' if fresh else '--part'} {other}")
-    if (retry or fresh) and (only or keep or redo):
-        raise click.UsageError("--only, --keep and --redo do not go with --retry and --fresh")
+    from linksweep.sweep.running.run import Beside
+
+    beside = Beside(retry, fresh, only, keep, redo)
+    if retry and part:
+        raise click.UsageError("--retry and --part do not go together: name the store of the part")
     study, store = asked.stored() if retry else asked.load(part)
-    _, failures = run_with_progress(study, store, how, retry=retry, fresh=fresh, only=only, keep=keep, redo=redo)
+    _, failures = run_with_progress(study, store, how, beside)
     differing = verify and print_verified(study, store, verify, not how.watching.quiet)
     if failures or differing:
         sys.exit(cli.EXIT_FAILED_POINTS)

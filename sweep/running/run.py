@@ -131,13 +131,21 @@ def begin_code(store: Store, code: Mapping[str, str]) -> None:
 
 @dataclass(frozen=True)
 class Beside:
-    """What becomes of the points of a store beside those that are asked for: ``only`` the latter stay in its dataset;
+    """What becomes of the points of a store beside those that are asked for: with ``retry`` those that failed, and no
+    others, are computed; with ``fresh`` the store begins anew; ``only`` those that are asked for stay in its dataset;
     with ``keep`` constants that differ become axes; those that meet the condition ``redo`` are computed again.
     """
 
+    retry: bool = False
+    fresh: bool = False
     only: bool = False
     keep: bool = False
     redo: str = ""
+
+    def __post_init__(self) -> None:
+        chosen = [name for name, value in vars(self).items() if value]
+        if (self.retry or self.fresh) and len(chosen) > 1:
+            raise SweepError(f"{' and '.join(chosen)} do not go together")
 
 
 ALL = Beside()
@@ -645,21 +653,20 @@ class Session:
         *,
         writes: bool = False,
         accept_code: bool = False,
-        retry: bool = False,
-        fresh: bool = False,
         beside: Beside = ALL,
     ) -> "Session":
         """Open the study of a grid and its store, if there is one, with the points that this holds ``beside`` it.
 
-        With ``retry`` the points that failed, and no others, are pending; with ``fresh`` the store begins anew.  Raises
-        SweepError for a store that cannot go on with this study, and for one that other code made unless
+        Raises SweepError for a store that cannot go on with this study, and for one that other code made unless
         ``accept_code``.
         """
         study = grid.study
-        begun = attributes_of(Plan(grid)) | begun_by() if fresh else {}
-        opened = replace_store(where, begun) if fresh else find_store(where, study, beside.keep)
+        if beside.fresh:
+            opened = replace_store(where, attributes_of(Plan(grid)) | begun_by())
+        else:
+            opened = find_store(where, study, beside.keep)
         if opened is None:
-            if retry:
+            if beside.retry:
                 raise SweepError("no store is there whose failed points could be computed again", str(where))
             if beside.redo:
                 where_met(study, list(grid.points()), beside.redo)
@@ -676,7 +683,7 @@ class Session:
             is_alone, study = whole is study, as_recorded(study, store.attributes)
             whole = study if is_alone else as_recorded(whole, store.attributes)
             hold(store, whole)
-        if retry:
+        if beside.retry:
             wanted = again = store.failures.keys() & set(grid.digests(grid.indices()))
         wanted = None if wanted is None else wanted | again
         plan = Plan(grid) if whole is grid.study else Plan(Grid(whole, grid.said))
@@ -869,22 +876,19 @@ def run_study(
     store: Where,
     resources: Resources = ANY_RESOURCES,
     progress: Progress = SILENT,
-    retry: bool = False,
-    break_lock: bool = False,
     accept_code: bool = False,
-    fresh: bool = False,
     max_failures: MaxFailures | None = None,
     beside: Beside = ALL,
+    break_lock: bool = False,
 ) -> tuple[Labelled, dict[str, str]]:
     """Compute what the store does not hold yet, write it as it comes, and return the dataset and the failures by place.
 
-    The same call after an interruption goes on where it stopped.  Points that failed before are left as they are; with
-    ``retry`` they, and only they, are computed again.  The dataset in the store has its other points too, unless
-    ``beside`` says otherwise; a store that has all that is asked for is left as it is.  One that other code made is
-    continued with ``accept_code`` only; ``fresh`` replaces whatever store is there.  Raises SweepError for bad input
-    before anything is written, and for a store that another process writes to (``break_lock`` as `locked` says); with
-    everything that was finished in the store TooManyFailuresError where more than ``max_failures`` fail, by default
-    where the first points all fail for one reason, and RunInterruptedError on SIGINT, SIGTERM and SIGHUP.
+    The same call after an interruption goes on where it stopped.  Points that failed before are left as they are, and
+    the dataset in the store has its other points too, unless ``beside`` says otherwise; a store that has all that is
+    asked for is left as it is.  One that other code made is continued with ``accept_code`` only.  Raises SweepError for
+    bad input before anything is written, and for a store that another process writes to (``break_lock`` as `locked`
+    says); with everything that was finished in the store TooManyFailuresError where more than ``max_failures`` fail, by
+    default where the first points all fail for one reason, and RunInterruptedError on SIGINT, SIGTERM and SIGHUP.
     """
     grid = make_grid(study)
     for sentence in grid.warnings:
@@ -893,7 +897,7 @@ def run_study(
         try:
             stack.enter_context(locked(store, break_lock=break_lock))
         except SweepError:  # a store that cannot be locked can still be read
-            if retry or fresh or beside != ALL:
+            if beside != ALL:
                 raise
             session = None
             with suppress(SweepError) if holder(store) else nullcontext():  # who writes it has perhaps just begun
@@ -901,13 +905,12 @@ def run_study(
             if session is None or not session.is_left_alone:
                 raise
         else:
-            how: dict[str, Any] = {"retry": retry, "fresh": fresh, "beside": beside}
-            session = Session.open(grid, store, writes=True, accept_code=accept_code, **how)
+            session = Session.open(grid, store, writes=True, accept_code=accept_code, beside=beside)
         if session.is_left_alone:
             progress.say(f"{store} has all that this study asks for; it is left as it is, and these are its points")
             return session.part()
         pending = session.survey.pending
-        if retry and not pending.blocks:
+        if beside.retry and not pending.blocks:
             progress.say(f"no point in {store} has failed")
         if beside.redo and not pending.blocks:
             progress.say(f"no point in {store} is there where {beside.redo}")

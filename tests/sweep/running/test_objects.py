@@ -331,9 +331,9 @@ def test_only_the_script_tries_failed_points_of_its_objects_again(here, sweep):
     assert np.isnan(run(dates).g.values[:, 1]).all()
     assert run(dates[:1], retry=True).g.values.tolist() == [[10.0, 20.0]]
     assert linksweep.open("s.zarr").g.fillna(0.0).values.tolist() == [[10.0, 20.0], [8.0, 0.0]]
-    for store, more, words in (("s.zarr", {"fresh": True}, "retry = True: does not go with"), ("t", {}, "no store is")):
+    for how, words in (("fresh redo", "fresh and redo do"), ("fresh retry", "do not go"), ("retry", "no store is")):
         with pytest.raises(linksweep.SweepError, match=words):
-            run(dates, store, retry=True, **more)
+            run(dates, "t", **dict.fromkeys(how.split(), "old"))
 
 
 @given(runs=st.lists(st.tuples(st.booleans(), NUMBERS), max_size=4))
