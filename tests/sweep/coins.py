@@ -4,7 +4,6 @@ from linksweep.sweep.contract import Experiment, Output, Parameter
 
 
 def toss(points, n_sim, rng, catalogue_rng):
-    """Toss ``coins`` coins of a batch whose bias is drawn once per batch."""
     bias = 0.1 * catalogue_rng.uniform(-1, 1)
     heads = [rng.binomial(p["coins"], p["chance"] + bias, size=n_sim).sum() for p in points]
     return {"heads": heads, "tosses": [n_sim * p["coins"] for p in points]}

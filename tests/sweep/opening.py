@@ -61,8 +61,6 @@ def same(one, other):
 
 
 class Sentences(Progress):
-    """Keeps what is said, how many blocks each task did, and what points printed."""
-
     def __init__(self):
         self.said, self.blocks, self.printed = [], [], []
 
@@ -75,8 +73,6 @@ class Sentences(Progress):
 
 
 class Stopping(Progress):
-    """A progress that ends a run after some tasks, as Ctrl-C does or with another error."""
-
     def __init__(self, tasks, error=KeyboardInterrupt):
         self.left, self.error = tasks, error
 

@@ -16,8 +16,6 @@ from tests.tiers import PATIENCE_S
 
 
 class Outside:
-    """A scheduler on loopback, and workers that come and go."""
-
     def __init__(self, folder: Path, *options: str, protocol: str = "tcp") -> None:
         self.folder, self.options = folder, options
         self.processes: list[subprocess.Popen] = []

@@ -177,8 +177,6 @@ def test_an_asynchronous_or_closed_client_is_refused(client):
 
 
 class Files:
-    """An authority's certificate, and a certificate of its with the key."""
-
     def __init__(self, folder):
         folder.mkdir()
         issued = (authority := trustme.CA()).issue_cert("localhost", "127.0.0.1")

@@ -127,7 +127,6 @@ def test_a_worker_with_another_version_stops_the_run(start, link_study, tmp_path
 
 @pytest.mark.parametrize(("constant", "expected"), [(3.0, 2), slow(2.0, 0)])
 def test_a_worker_with_another_value_stops_the_run(tmp_path, start_sweep, outside, monkeypatch, constant, expected):
-    """A value that is another one in each process does not."""
     for folder, value in (("here", 2.0), ("there", constant)):
         (tmp_path / folder).mkdir()
         (tmp_path / folder / "helper.py").write_text(f"import time\nFACTOR, NOW = {value}, time.time()\n")

@@ -23,7 +23,6 @@ EXPERIMENT = "linksweep.core.experiment:link"
 
 @pytest.mark.parametrize("pool", [p if p == "threads" else slow(p) for p in POOLS])
 def test_what_is_finished_is_kept_though_a_later_block_never_ends(tmp_path, start_sweep, pool):
-    """Nothing else comes in that would make it durable, and the end comes without a warning."""
     (tmp_path / "f.py").write_text("import time\ndef f(seconds: float):\n    return time.sleep(seconds) or seconds\n")
     store = tmp_path / "s.zarr"
     resources = ("--pool", pool) if not POOLS[pool].has_workers else ("--pool", pool, "--workers", 1)

@@ -108,7 +108,6 @@ def test_worker_processes_let_nobody_in(monkeypatch):
 @pytest.mark.slow
 @pytest.mark.parametrize("text", CLUSTERS)
 def test_a_cluster_of_a_file_runs_nothing_for_others(tmp_path, start_sweep, text):
-    """Its dashboard may be looked at."""
     (tmp_path / "c.toml").write_text(text)
     (tmp_path / "slow.py").write_text("import time\ndef slow(x: float = 1.0):\n    return time.sleep(1) or x\n")
     run = ("run", "slow.py:slow", "--axis", "x=1:1000:1", "--cluster", "c.toml", "-o", "s.zarr")

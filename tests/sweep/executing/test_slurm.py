@@ -135,7 +135,6 @@ def test_cancelled_jobs_cost_nothing_but_time(start, tmp_path, slurm, reference,
 
 
 def test_a_job_array_computes_the_parts_and_merges_them(link_study, tmp_path, sweep, slurm, reference):
-    """They wait for another job; one of them is left out: its part is named, and a later array computes it."""
     store = tmp_path / "s.zarr"
     asked = ("submit", link_study, "-o", store, *LONG, "--slurm=4", "--sbatch=--mem=500M", "--sbatch=--array=1,2,4%2")
 

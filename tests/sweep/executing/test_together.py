@@ -21,7 +21,8 @@ ANY = [linksweep.Output("y", nan=True)]
 OTHERS = [np.sort, np.cumsum, lambda x: x - x.mean(), lambda x: np.argsort(np.argsort(x)), lambda x: x == x.max()]
 OTHERS += [lambda x: np.where(x < x.max(), "less", "most"), lambda x: np.stack([x, x / np.abs(x).max()], axis=1)]
 OTHERS += [lambda x, y=y: np.where(len(x) >= 2, y, x) for y in (np.nan, np.inf)]
-OTHERS += [lambda x: np.full((len(x), 2), len(x))]
+OTHERS += [lambda x: np.full((len(x), 2), len(x)), lambda x: x + (np.arange(len(x)) > 2)]  # right at the first ones
+OTHERS += [lambda x: np.where(x > 3.0, x, 1e-12 * (len(x) > 1))]  # more than rounding, where others are 5
 OTHERS += [lambda x: np.where((x == x.min()) | (x == x.max()), x, x + (len(x) > 1))]  # right at both ends
 OWN = [np.sin, lambda x: x > 0.0, lambda x: (10 * x).astype(int), lambda x: np.where(x > 0.0, "up", "down")]
 OWN += [lambda x: np.stack([x, x**2, np.full_like(x, np.pi)], axis=1), lambda x: np.where(x > 3.0, np.nan, -np.inf)]

@@ -32,6 +32,7 @@ SAME = {
     "a seeded generator": lambda x: np.random.default_rng(3).normal(),
     "a seeded global generator": lambda x: (np.random.seed(4), np.random.normal())[1],  # noqa: NPY002
     "NaN": experiment(outputs=[Output("y", nan=True)])(lambda x: {"y": np.array([np.nan, x, np.inf])}),
+    "NaT": experiment(outputs=[Output("y", nan=True)])(lambda x: {"y": np.datetime64("NaT")}),
     "another, as declared": experiment(deterministic=False)(lambda x: random.random()),
 }
 
@@ -50,7 +51,6 @@ def test_another_result_is_refused_by_name(kind, pool, tmp_path):
 @pytest.mark.parametrize("pool", ["processes", *map(slow, ["serial", "threads", None])])
 @pytest.mark.parametrize("last", [1, slow(5)])
 def test_so_it_is_where_a_call_takes_a_good_part_of_a_second(tmp_path, pool, last):
-    """On processes a further one makes the second call, whether others have work meanwhile or not."""
 
     def late(x: int):
         time.sleep(0.3)

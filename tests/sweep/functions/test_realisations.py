@@ -107,25 +107,30 @@ def test_points_that_are_cut_or_sorted_have_the_errors_that_they_had(tmp_path, l
         error(bare.isel({dimension: place[::-1]}))
 
 
-def test_the_covariance_of_a_sum_is_that_of_the_sum(tmp_path):
-    def walk(points, n_sim, rng, catalogue_rng):
-        steps = rng.normal(1.0, 1.0, n_sim)
-        return {"total": [p["step"] * steps.sum() for p in points]}
+def test_the_covariance_of_a_mean_is_that_of_its_blocks_and_that_of_a_sum_is_of_the_sum(tmp_path):
+    drawn = []
 
-    outputs = [Output(f"{name}{end}") for name in ("mean", "sum", "product") for end in ("", "_mc_error")]
+    def walk(points, n_sim, rng, catalogue_rng):
+        drawn.append(rng.normal(1.0, 1.0, n_sim).sum())
+        return {"total": [p["step"] * drawn[-1] for p in points]}
+
+    outputs = [Output(f"{name}{end}") for name in ("mean", "sum", "each", "product") for end in ("", "_mc_error")]
 
     def summarise(sums, n, n_cat):
-        values = {"mean": sums["total"] / n, "sum": sums["total"], "product": sums["total"] ** 2}
+        total = sums["total"]
+        values = {"mean": total / n, "sum": total, "each": total / n_cat, "product": total**2}
         return values | {f"{name}_mc_error": np.ones_like(n) for name in values}
 
     declared = "walks", 1, (linksweep.Parameter("step", "float", 1.0, "step"),), {"total": ()}, tuple(outputs)
     walks = linksweep.Experiment(*declared, walk, summarise, shared=("step",))
     study = {"experiment": walks, "axes": {"step": [1.0, 2.0]}, "sampling": {"common_random_numbers": True}}
-    for sampling in ({"n_sim": 512 * 6}, {"n_sim": 100, "n_cat": 7}):
-        n = sampling["n_sim"] * sampling.get("n_cat", 1)
-        study["sampling"] |= sampling
-        ds = linksweep.run(study, tmp_path / f"{n}", pool="serial")
-        np.testing.assert_allclose(ds.sum_mc_covariance_step, n**2 * ds.mean_mc_covariance_step, rtol=1e-9)
+    for n_sim, n_cat, of_one, whole in ((512 * 6 + 200, 1, 512, 6), (100, 7, 100, 7)):
+        drawn.clear()
+        study["sampling"] |= {"n_sim": n_sim, "n_cat": n_cat}
+        n, ds = n_sim * n_cat, linksweep.run(study, tmp_path / f"{n_cat}", pool="serial")
+        wanted = np.var(drawn[:whole], ddof=1) / (n * of_one) * np.outer([1.0, 2.0], [1.0, 2.0])
+        for name, factor in (("mean", 1), ("sum", n), ("each", n / n_cat)):
+            np.testing.assert_allclose(ds[f"{name}_mc_covariance_step"], factor**2 * wanted, rtol=1e-9)
         squared = ds.sum_mc_covariance_step * 4.0 * np.outer(ds["sum"], ds["sum"])  # to first order
         np.testing.assert_allclose(ds.product_mc_covariance_step, squared, rtol=0.1)
 

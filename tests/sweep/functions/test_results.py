@@ -105,8 +105,10 @@ def test_xarray_keeps_dimensions_coordinates_units_and_what_stands_beside(tmp_pa
         assert ds.year.item() == 1999  # case is the parameter
         assert (ds.n.dims, ds.n.units, ds.n.long_name) == (("case", "time", "who"), "kg", "mass")
         assert (ds.time.values.tolist(), ds.time.attrs, ds.who.values.tolist()) == ([0.0, 1.5], about, ["a", "b"])
-    turned = results_of({"a": array}, tmp_path, [Output("n", dims=("who", "time"))], fresh=True)
-    assert turned.n.isel(case=0).values.tolist() == [[1.0, 3.0], [2.0, 4.0]]
+    cube = xr.DataArray(np.arange(24.0).reshape(2, 3, 4), {"p": [5, 6]}, ("p", "q", "r"))
+    both = {"bare": cube[:, 0, 0], "n": cube.assign_coords(p=("p", [5, 6], about))}
+    turned = results_of({"a": both}, tmp_path, [Output("n", dims=("r", "p", "q"))], fresh=True).isel(case=0)
+    assert (turned.n.values.tolist(), turned.p.attrs) == (cube.values.transpose(2, 0, 1).tolist(), about)
 
 
 def at_k(value, dim="k", **more):
@@ -198,6 +200,8 @@ def test_later_points_are_compared_by_name_with_the_first(tmp_path):
     joined = results_of(others, tmp_path, fresh=True)
     assert joined.n.values.tolist() == [3.0, 3.5, 3.0]  # integers and floats are joined, in any order
     check_refused({"large": ({"n": 2**53 + 1}, "740993, which is beyond 2**53, and")}, {"n": 0.5}, tmp_path / "large")
+    whole = {"whole": ({"n": np.arange(2**19 + 1)}, "the type of 'n' is 'int', expected 'float'")}
+    check_refused(whole, {"n": np.zeros(2**19 + 1)}, tmp_path / "arrays")  # chunks are not converted
 
 
 @pytest.mark.parametrize(("returned", "why"), TOGETHER)

@@ -9,6 +9,7 @@ from typing import Annotated, AnyStr, Final, Literal, NewType, SupportsFloat, Ty
 
 import numpy as np
 import pytest
+from astropy.table import Column
 from scipy.signal.windows import kaiser
 
 import linksweep
@@ -45,6 +46,7 @@ def several(
     name: str = "x",
     shift: Annotated[float, Parameter("shift", unit="m")] | None = None,
     factor=0.5,
+    rate: float = 1,
     anything=None,
     options: dict = {},  # noqa: B006
 ):
@@ -56,10 +58,11 @@ def test_name_type_default_unit_meaning_and_bounds():
     parameters = {parameter.name: parameter for parameter in study.experiment.parameters}
     assert {name: parameter.kind for name, parameter in parameters.items()} == {
         **{"beta": "float", "n": "int", "solver": "str", "order": "int", "damped": "bool", "name": "str"},
-        **{"shift": "float", "factor": "float", "anything": "any", "options": "object"},
+        **{"shift": "float", "factor": "float", "rate": "float", "anything": "any", "options": "object"},
     }
     beta = parameters["beta"]
     assert (beta.required, beta.meaning, beta.unit, beta.above) == (True, "contact rate", "1/d", 0)
+    assert repr(parameters["rate"].default) == "1.0"  # else points at 1 and at 1.0 would be two
     solver, shift = parameters["solver"], parameters["shift"]
     assert (solver.choices, parameters["n"].default, shift.unit) == (("RK45", "LSODA"), 1000, "m")
     study = load_study(f"{__file__}:several", ["order=2", f"n={2**53 + 1}", "shift=0.5", "factor=2"], ["beta=1"])
@@ -143,6 +146,10 @@ def test_all_mistakes_of_a_declaration_are_told_at_once():
         (Output("m", statistics=["men"]), "there is no statistic 'men'; did you mean 'mean'?"),
         (Output("m2", statistics=["mean"]), "statistics are made of realisations, and the function takes no rng"),
         (Output("bad", dims="k", coords={"k": [1.0, np.nan]}), "'bad': has a coordinate 'k' that has values that are"),
+        (
+            Output("h", dims="q", coords={"q": (Column([1.0], unit="h"), "d")}),
+            "a coordinate 'q' that is in h, expected d",
+        ),
     ]
     outputs, sentences = zip(*mistakes, strict=True)
     with pytest.raises(SweepError) as caught:

@@ -20,8 +20,6 @@ LONG = [slow(law, n, 6000 if n < 2000 else 2000) for law in LAWS for n in (50, 1
 
 
 class TwoModes:
-    """Two normal laws, around 0 and 5; a share of the realisations is of the second one."""
-
     def __init__(self, share):
         self.share = share
 

@@ -148,7 +148,6 @@ def test_a_survey_of_many_points_is_that_of_one_after_the_other(name, only_faile
 
 
 def tasks_of(pending, seconds_of, workers=1):
-    """Return all tasks, each measured when as many as keep so many workers busy have been given out after it."""
     tasks, out = [], []
     while True:
         while len(out) < 4 * workers and (more := pending.take(1)):
@@ -169,7 +168,6 @@ def pending_points(count):
 @pytest.mark.parametrize("workers", [slow(1), 4, slow(16)])
 @pytest.mark.parametrize("seconds", few(3, [1e-5, 0.02, 30.0, 1e-3, 0.5]))
 def test_tasks_are_of_about_a_second_and_enough_for_all(seconds, workers):
-    """Whatever the experiment declares as its cost: here one random number for each realisation."""
     tasks = tasks_of(pending_points(5000), lambda point: seconds, workers)
     one_by_one = pending_points(5000).take(10**6)
     assert [work for task in tasks for work in task] == [work for task in one_by_one for work in task]  # in their order
@@ -299,7 +297,6 @@ def test_streams_are_numpys_own_children_of_the_seed(seed, name, first, part):
 @pytest.mark.parametrize("common", [False, True])
 @pytest.mark.parametrize("groups", [0, 3])
 def test_the_cost_of_what_is_pending_is_that_of_the_work_given_out(common, groups):
-    """By which the time left is estimated: points that share a draw cost less than each alone."""
     study = load_study("quasars", ["n_cat=5", "n_sim=777", f"common_random_numbers={str(common).lower()}"])
     plan = planning.Plan(make_grid(study))
     blocks = [(point, block) for point in plan.grid.points() for block in plan.blocks(plan.cost(point.parameters))]

@@ -95,7 +95,6 @@ ACTS = {"set_a.py": f"{SETS}4\n", "set_b.py": f"{SETS}8\n", "by_b.py": "import s
 
 @pytest.fixture
 def folder(tmp_path, sweep):
-    """A folder with a store of two points, by an experiment that imports a helper, which imports another."""
     write_experiment(tmp_path, **HELPED)
     (tmp_path / "helper.py").write_text("from deeper import FACTOR\n\n\ndef value(rate):\n    return FACTOR * rate\n")
     (tmp_path / "deeper.py").write_text("FACTOR = 1.0\n")
@@ -174,9 +173,11 @@ def test_accepted_code_is_told_for_each_point(folder, sweep):
     assert (dataset["code"].values.tolist(), len(json.loads(dataset.attrs["code"]))) == ([1, 1, 2, 2], 2)
     (folder / "deeper.py").write_text("FACTOR = 1.0\n")  # the first code again, which has not made rows of others
     assert sweep("run", "s.toml", "-o", "s.zarr", "--redo", "rate != 3.0", cwd=folder)[0] == 2
-    change(folder, "body")
-    write_study(folder, "rate = [1.0]", "n_sim = 600")  # blocks of 512: one is kept, or all are new
-    assert sweep("run", "s.toml", "-o", "s.zarr", cwd=folder)[0] == 2
+    for kind, n_sim, made_by in (("body", 600, 3), ("deeper", 1100, -1)):  # blocks of 512: all are new, or one is kept
+        change(folder, kind)
+        write_study(folder, "rate = [1.0]", f"n_sim = {n_sim}")
+        assert [sweep("run", *some, cwd=folder)[0] for some in (asked[:-1], asked)] == [2, 0]
+        assert {*linksweep.open(folder / "s.zarr")["code"].values.tolist()} == {made_by}
 
 
 def test_fresh_replaces_a_store_and_nothing_else(folder, sweep):

@@ -49,7 +49,6 @@ linksweep.sweep.cli.main()
 
 @pytest.fixture
 def sleepers(tmp_path, monkeypatch):
-    """A function that returns the arguments of a run of blocks that take so long, until it is called again."""
     (tmp_path / "f.py").write_text(SLEEP)
 
     def command(seconds, sheep=20):
@@ -154,7 +153,6 @@ def test_an_ignored_signal_stays_ignored():  # under nohup a run goes on when th
 
 @pytest.mark.parametrize("long_write", [False, True], ids=["short write", "long write"])
 def test_interrupted_during_the_last_write(coins, tmp_path, monkeypatch, long_write):
-    """A short write is finished, a long one given up; either way the run goes on to the same numbers."""
     write, written = Store.write, []
 
     def interrupted(self, dataset):
@@ -246,7 +244,6 @@ def ledger_of(path, study):
 
 @pytest.mark.slow
 def test_killed_at_any_instant_nothing_is_lost_and_no_bit_differs(link_study, tmp_path, start_sweep, sweep):
-    """After each kill of a chain every block in the ledger has the bits of the reference, and none has gone."""
     results, study = tmp_path / "whole.zarr", load_study(str(link_study), LONG[1::2])
     assert sweep("run", link_study, "-o", results, "--pool", "serial", *LONG)[0] == 0
     expected = ledger_of(results, study)

@@ -27,8 +27,6 @@ Colour, Size = enum.Enum("Colour", "RED BLUE"), make_dataclass("Size", ["width"]
 
 
 class Net:
-    """Its repr has an address, so that it needs a label."""
-
     def __init__(self, width):
         self.width = width
 
@@ -241,7 +239,6 @@ def chained(a: str | None = "x", b: int | None = 0, c: int | None = None, d: int
 
 @st.composite
 def studies(draw, *kinds):
-    """Draw a study with values of each parameter somewhere, and its points as a plain loop makes them."""
     groups = dict[tuple[str, int], dict[str, list]]()  # what shares a dimension
     for number, (name, values) in enumerate(VALUES.items()):
         kind = draw(st.sampled_from(kinds))

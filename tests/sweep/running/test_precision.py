@@ -20,7 +20,6 @@ OTHERS = few(1, [(MANY, PRECISE), *((PRECISE, one) for one in (COARSE, {"n_sim":
 
 @experiment(outputs=[Output("level", statistics=["mean"])])
 def levels(scatter: float, *, rng, n_sim):
-    """The relative error of the mean is known in closed form."""
     return {"level": rng.normal(10.0, scatter, n_sim)}
 
 
@@ -124,8 +123,6 @@ def test_a_quantile_goes_on_until_its_error_is_known(tmp_path):
 
 
 class StopAt(Progress):
-    """A progress that ends a run, as Ctrl-C does, once this share of its work is done."""
-
     def __init__(self, share):
         self.share, self.done = share, 0.0
 

@@ -34,8 +34,9 @@ DIFFERENT = {
     "a mutable default": ("def f(x: float = 0.0, k=[]):\n    k.append(x)\n    return float(len(k))\n", "keeps state"),
     "a clock": ("def f(x: float = 0.0):\n    return x + time.time()\n", "draws random numbers"),
     "beside rng": (BESIDE, "draws random numbers"),
+    "tiny": ("def f(x: float = 0.0):\n    return 1e-12 * os.getpid() * x\n", "draws random numbers"),
 }
-ACCEPTED = "import linksweep\n@linksweep.experiment(deterministic=False)\n"
+ACCEPTED = "import linksweep, os\n@linksweep.experiment(deterministic=False, vectorised={})\n"
 SECRET = "hunter2"
 SCRIPT = """
 import linksweep, math, time
@@ -78,7 +79,7 @@ def test_a_failed_point_is_left_alone_shown_and_on_request_computed_again(tmp_pa
 
 
 def written(folder, text):
-    (folder / "f.py").write_text(HEAD + (text if "rng:" in text else ACCEPTED + text))
+    (folder / "f.py").write_text(HEAD + (text if "rng:" in text else ACCEPTED.format("getpid" in text) + text))
     more = ("--set", "n_sim=20") if "rng:" in text else ()
     return ("f.py:f", "--axis", "x=1,2,3", *more, "-o", "s.zarr")
 

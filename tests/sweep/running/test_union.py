@@ -47,8 +47,6 @@ TABLES = [{"x": [1, 2], "y": [1, 3]}, {"d": [1, 1, 0]}, {"x": [4, 4]}, {"d": [0,
 
 
 class Sweeps:
-    """Runs of one function into one store, and what the store must show: the version of the code of each point."""
-
     def __init__(self, folder, patch, kind):
         self.file, self.store, self.kind = folder / "m.py", folder / "s.zarr", kind
         self.left = dying(patch)
@@ -210,9 +208,11 @@ def test_a_store_shows_every_point_that_it_holds(tmp_path_factory, kind, command
             sweeps.do(asked, **{key: command[key] for key in ("kill", "only", "keep", "redo", "parts")})
 
 
-def test_a_condition_that_is_none_is_refused_and_never_run(here):
+def test_what_is_excluded_later_stays_and_a_condition_that_is_none_is_refused_and_never_run(here):
     study = {"axes": {"x": [1.0, 2.0]}, "store": here / "s.zarr", "pool": "serial"}
     linksweep.run(lambda x: 2.0 * x, **study)
+    part = linksweep.run(lambda x: 2.0 * x, **study, exclude=[{"x": 2.0}])
+    assert [ds.status.values.tolist() for ds in (part, linksweep.open("s.zarr"))] == [[1, 3], [1, 1]]
     for condition, words in (("y > 2", "no column 'y'"), ("__import__('os').mkdir('there') or x > 1", "not allowed")):
         for store in ("s.zarr", "new.zarr"):
             with pytest.raises(linksweep.SweepError, match=words):

@@ -202,7 +202,6 @@ def test_a_terminal_beside_a_run(tmp_path, start_sweep):
 
 
 def estimates(tasks, workers, known):
-    """Give tasks (cost, seconds) to workers; yield the share done, and how long the rest takes as estimated."""
     free, ends = [START_S] * workers, []
     for cost, seconds in tasks:
         end = heapq.heappop(free) + seconds

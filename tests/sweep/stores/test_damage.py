@@ -116,7 +116,6 @@ def restored(store, files):
 
 
 def damage(rng, files, earlier):
-    """Return files of which some are lost, cut, flipped, exchanged or of an earlier writing."""
     changed = dict(files)
     for key in rng.sample(sorted(files), rng.choice([1, 1, 2, 3, len(files) // 2])):
         other, content = rng.choice(sorted(changed)), changed[key]
@@ -195,7 +194,6 @@ def test_whatever_happens_to_its_files_is_named_and_mended(history, step, trials
 
 
 def is_told(store, differing, wanted, sweep):
-    """Those who read get what was written, of this or an earlier writing, or a message."""
     problems = []
     try:
         found = linksweep.open(store)

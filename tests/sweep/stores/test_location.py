@@ -195,7 +195,6 @@ def put_lock(place, content):
 
 
 def held_by(place, **changes):
-    """Leave a lock as a process of this host would that has ended, with changes."""
     with locked(place):
         mine = holder(place)
     other = replace(mine, token="other", **{"pid": 2**22 + 1} | changes)  # above any process number of Linux

@@ -65,7 +65,6 @@ def test_the_ledger_grows_over_parts_and_has_what_was_flushed(path, coins, monke
 
 
 def test_of_two_who_write_one_ledger_the_second_is_refused(path, coins):
-    """As where a lock was broken while its holder ran on another host."""
     one, other = create_or_resume(path, coins), create_or_resume(path, coins)
     for store, start in ((one, 0), (other, 5)):
         store.append(*rows(5, start))
@@ -113,7 +112,6 @@ def test_another_format_is_explained(path, coins, version, age):
 
 
 def turn(number, shape=(50, 40)):
-    """The dataset of a moment: every number in it says which; part of the points are done."""
     status = np.random.default_rng(number).integers(0, 2, shape, dtype=np.int8)
     values = {"value": np.where(status == 1, float(number), np.nan), "again": np.full(shape, float(number))}
     variables = {name: (("x", "y"), array) for name, array in (values | {"status": status}).items()}

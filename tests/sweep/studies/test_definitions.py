@@ -95,7 +95,6 @@ def test_an_experiment_of_any_kind_can_have_definitions(here):
 
 @pytest.mark.parametrize("pool", ["serial", slow("threads"), slow("processes")])
 def test_a_file_that_changes_after_the_study_was_read_changes_no_number(here, pool):
-    """All points are computed with the function that was read, or refused: none with the other one."""
     read = linksweep.load_study("own.toml")
     (here / "curves.py").write_text(CURVES.replace("0.02", "0.2"))
     mixed = run(read, "mixed.zarr", pool=pool)

@@ -186,18 +186,15 @@ def test_hipparcos_2_with_its_readme(tmp_path):
         read_table(written(tmp_path, "tyc2.dat", HIP2_ROWS))
 
 
-def test_floats_are_read_to_the_last_bit(tmp_path):
+def test_floats_are_read_to_the_last_bit_and_ecsv_is_what_astropy_reads(tmp_path):
     values = np.random.default_rng(1).normal(size=2000) * 10.0 ** np.arange(-30, 30).repeat(34)[:2000]
     for name, form in (("t.csv", "ascii.csv"), ("t.ecsv", "ascii.ecsv"), ("t.tbl", "ascii.ipac")):
         Table({"x": values}).write(tmp_path / name, format=form)
         np.testing.assert_array_equal(read_table(tmp_path / name)["x"], values)
-
-
-def test_ecsv_is_what_astropy_reads(tmp_path):
     table = Table({"id": np.array([2**62 + 1, 2]), "ra": [1.5, np.nan], "name": ["a b", "#2"], "ok": [True, False]})
     table["ra"].unit, table["ra"].description, table.meta["by"] = u.deg, "right", "hand"
-    table.write(tmp_path / "t.ecsv")
-    found = read_table(tmp_path / "t.ecsv")
+    table.write(tmp_path / "of_kinds.ecsv")
+    found = read_table(tmp_path / "of_kinds.ecsv")
     assert [found[n].dtype for n in found.colnames] == [table[n].dtype for n in table.colnames]
     assert (found["id"].tolist(), list(found["name"])) == ([2**62 + 1, 2], ["a b", "#2"])
     assert (found["ra"].unit, found["ra"].description, found.meta["by"]) == (u.deg, "right", "hand")
@@ -230,14 +227,11 @@ def test_gaps_are_kept_and_large_identifiers_beside_them(text, columns, tmp_path
     assert {name: found[name].tolist() for name in found.colnames} == columns
 
 
-def test_parquet_with_gaps(tmp_path):
+def test_parquet_has_its_gaps_and_that_of_astropy_its_masks_and_times(tmp_path):
     columns = {"id": [2**62 + 1, None], "ra": [None, 2.5], "name": ["a", None], "ok": [True, None]}
-    parquet.write_table(pa.table(columns), tmp_path / "t.parquet")
-    found = read_table(tmp_path / "t.parquet")
+    parquet.write_table(pa.table(columns), tmp_path / "gaps.parquet")
+    found = read_table(tmp_path / "gaps.parquet")
     assert {name: found[name].tolist() for name in found.colnames} == columns
-
-
-def test_parquet_of_astropy_has_its_masks_and_times(tmp_path):
     table = Table({"id": [2**62 + 1, 7], "ra": [99.0, 2.5], "name": ["x", "b"]}, masked=True)
     table["ra"].unit = u.deg
     table["id"].mask[1] = table["ra"].mask[0] = table["name"].mask[0] = True
