@@ -13,6 +13,7 @@ from tests.core.points import MISSIONS, OTHER, Function, Named, evaluated, link,
 BOTH = {"reference_errors": "catalogue", "satellite_errors": "catalogue"}
 OF_VLBI = {"columns": (("reference_pmdec_error", "d"), ("reference_pmra_error", "a"))}
 MOTIONS, POSITIONS = ({"satellite_errors": "normal", f"satellite_sigma_{kind}": 0.0} for kind in ("pos", "pm"))
+FAINT = {"satellite_errors": "normal", "satellite_sigma_pos": 1e-6, "satellite_sigma_pm": 1e-6}
 QUASARS, GALAXIES, RADIO = ({"catalogue": name} for name in ("quasars", "galaxies", "radio-stars"))
 PROJECTED, NO_MAGNITUDES = {"method": "projected"}, {"contents": {"phot_g_mean_mag": None}}
 WRONG = [({"motion_field": "t_2"}, "motion_field: 't_2' is no harmonic; those are t_L_0")]
@@ -37,6 +38,7 @@ POSSIBLE = [
     RADIO | {"positions": "own", "reference_errors": "catalogue"},
     {"solve_glide": True, "aberration": True, "reference_errors": "normal", "corrections": False},
     {"directions": "random", "epsilon_size": 5.0, "omega_size": 0.0},
+    FAINT | {"error_scale": 1e8, "satellite_floor_pos": 1.0, "satellite_floor_pm": 1.0},  # which has no scale
     PROJECTED | {"solve_glide": True, "weighting": "equal", "reference_errors": "normal"},
 ]
 PROBLEMS = [
@@ -167,6 +169,7 @@ def test_an_object_with_most_of_the_weight_is_named_with_its_share(tmp_path):
     assert link.warn(one | {"v_min": 10.0}) == []
     alike = {"reference_errors": "normal", "reference_sigma_pos": 1e3, "reference_sigma_pm": 1e3}
     assert (link.warn(one | alike), link.warn(one | {"weighting": "equal"})) == ([], [])
+    assert [len(link.warn(one | alike | {f"reference_sigma_{kind}": 0.0})) for kind in ("pos", "pm")] == [1, 1]
 
 
 def test_a_run_says_and_stores_its_warnings_and_show_repeats_them(tmp_path, sweep):

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import example, given, settings, strategies as st
 from scipy import stats
 
 from linksweep.core import simulate
@@ -19,6 +19,7 @@ VALUES |= {"zone_of_avoidance": [0.0, 15.0], "sky_contrast": [0.0, 0.4], "n_obj"
 VALUES |= {name: [False, True] for name in ("solve_glide", "corrections", "aberration")}
 POINTS = st.fixed_dictionaries({name: st.sampled_from(values) for name, values in VALUES.items()})
 SHARED, N_SIM = st.sets(st.sampled_from(sorted(link.shared)), max_size=6), [1, 7, 200, points.ROWS, points.ROWS + 3]
+SEEDS, OTHER = st.integers(0, 2**32 - 1), points.OTHER | {"satellite_sigma_pm": 0.0}  # motions are not measured
 RANDOM = {"directions": "random", "epsilon": (1.0, 2.0, 3.0)}
 RATIO = {"satellite_error_ratio": 2.0, "satellite_errors": "normal"}
 NORMAL = {"reference_errors": NormalErrors(10.0, 1.0), "satellite_errors": NormalErrors(1.0, 1.0)}
@@ -37,6 +38,9 @@ def test_samples_are_the_estimates_that_evaluate_adds_up(changes):
     assert estimates.shape == (2, n_sim, 6)
     error = estimates - np.array([[*p["epsilon"], *p["omega"]] for p in both])[:, None]
     products = np.einsum("pni,pnj->pij", error, error)
+    deviation = error.std(axis=1, ddof=1) * np.sqrt((n_sim - 1) / (n_sim - 3) / n_sim)
+    found = link.summarise(sums, np.full(2, float(n_sim)), np.ones(2))["bias_mc_error"]
+    np.testing.assert_allclose(found, deviation, rtol=1e-6)
     tolerance = {"rtol": 0, "atol": 1e-12 * n_sim * np.max(np.abs(error)) ** 2}
     np.testing.assert_allclose(error.sum(axis=1), sums["error"][:, :6], **tolerance)
     np.testing.assert_allclose(products, sums["error_products"], **tolerance)
@@ -45,7 +49,8 @@ def test_samples_are_the_estimates_that_evaluate_adds_up(changes):
 def test_random_directions_of_a_study_keep_the_size_and_change_with_the_catalogue(monkeypatch):
     found, prepare = [], simulate.prepare
     monkeypatch.setattr(simulate, "prepare", lambda one, sky, *more: found.append(more[0]) or prepare(one, sky, *more))
-    random = point(directions="random", epsilon_size=5.0, omega_size=0.5, satellite_errors="none")
+    none = {"epsilon": (0.0, 0.0, 0.0), "satellite_errors": "none"}
+    random = point(directions="random", epsilon_size=5.0, omega_size=0.5, **none)
     for k in range(4):
         kept = link.samples([random], 2, np.random.default_rng(1), np.random.default_rng(k))["estimate"]
         assert np.abs(kept).max() < 1e-6  # estimate - truth, which differs from catalogue to catalogue
@@ -128,13 +133,15 @@ def test_catalogue_error_is_unknown_for_one_catalogue_and_zero_without_errors():
 
 
 @settings(max_examples=examples(25))
-@given(st.lists(st.tuples(SHARED, st.integers(3, 150)), min_size=1, max_size=4), st.sampled_from(N_SIM), st.data())
-def test_no_bit_depends_on_who_shares_the_draw(changes, n_sim, data):
+@example([(set(), 30), *(({name}, 30) for name in sorted(link.shared))], 7, 0)
+@example([*(({name, "satellite_errors"}, 30) for name in sorted(link.shared)), ({"omega"}, 40)], 7, 1)
+@given(st.lists(st.tuples(SHARED, st.integers(3, 150)), min_size=1, max_size=4), st.sampled_from(N_SIM), SEEDS)
+def test_no_bit_depends_on_who_shares_the_draw(changes, n_sim, seed):
     drawn = []
     for names, n_obj in changes:
         needed = {"omega_slope"} & {name.removesuffix("_size") for name in names}  # a size needs its direction
-        drawn.append(point(**{"n_obj": n_obj} | {name: points.OTHER[name] for name in names | needed}))
-    order = data.draw(st.permutations(range(len(drawn))))
+        drawn.append(point(**{"n_obj": n_obj} | {name: OTHER[name] for name in names | needed}))
+    order = np.random.default_rng(seed).permutation(len(drawn)) if seed else range(len(drawn))
     together = link.samples([drawn[k] for k in order], n_sim, *generators())
     for place, k in enumerate(order):
         alone = link.samples([drawn[k]], n_sim, *generators())

@@ -179,6 +179,8 @@ def test_a_law_too_slow_for_the_fall_falls_by_less_everywhere(seed, times):
             assert found["limit"].item() == pytest.approx(derived(x, share * truth[2], *truth)[1], rel=1e-3)
         else:
             assert (found["limit"].item(), found["conclusion"].item()) == (-np.inf, "falls by less everywhere")
+    rising = linksweep.fit_levelling(results(x, y[::-1], relative * y), "width", "n")
+    assert np.isnan(rising["plateau"].item())  # which is before the points, not beyond them
 
 
 def delta(function, values, covariance, step=1e-6):

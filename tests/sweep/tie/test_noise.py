@@ -151,7 +151,7 @@ def test_the_truth_is_within_the_error_as_often_as_it_should_be(seeds, case):
 
 @pytest.mark.parametrize("seed", [1, slow(2)])
 def test_rows_that_share_a_calibrator_share_its_error_also_in_draws(tmp_path, seed):
-    tables = drawn_tables(tmp_path, seed, n=40, calibrators=("", "J1"))
+    tables = drawn_tables(tmp_path, seed, n=40, calibrators=("", "J1", "J2"))
     link = linked(tables)
     pieces, shared = list(pieces_of(tables, link.difference.values)), []
     for one in pieces:
@@ -165,6 +165,9 @@ def test_rows_that_share_a_calibrator_share_its_error_also_in_draws(tmp_path, se
     np.testing.assert_allclose(link.estimate, inverse @ both.T @ weights @ y, rtol=1e-4, atol=1e-5)
     np.testing.assert_allclose(link.covariances.sel(error_kind="formal"), inverse[:, :6], rtol=1e-4, atol=1e-7)
     assert linked(tables, jitter="estimate").noise.size
+    how = {"add": [2030.0], "error": 1e6, "positions": "mean"}  # which says nothing
+    plan = linksweep.forecast(tables.satellite, tables.reference, "orientation,spin", epoch=2016.0, **how)
+    np.testing.assert_allclose(plan.error[1], link.errors.sel(error_kind="formal"), rtol=1e-6)
     small = linked(tables, units=["reference:calibrator_error=uas"], accept_misfit=True)
     assert any("row" in note and "is it in arcsec? Say --unit" in note for note in small.attrs["notes"])
     problem = set_up(tables.satellite, tables.reference, Options("orientation,spin", positions="mean")).problem
