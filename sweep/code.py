@@ -14,7 +14,6 @@ holds.
 
 import ast
 import builtins
-import dis
 import hashlib
 import importlib.abc
 import importlib.util
@@ -27,6 +26,7 @@ import pickle
 import random
 import re
 import subprocess
+import symtable
 import sys
 import sysconfig
 import time
@@ -41,6 +41,7 @@ from importlib.metadata import PackageNotFoundError, packages_distributions, ver
 from itertools import accumulate, chain
 from operator import attrgetter
 from pathlib import Path
+from textwrap import indent
 from types import CellType, CodeType, FunctionType, MappingProxyType, MethodType, ModuleType
 from typing import Any, ClassVar, SupportsAbs, TypeVar
 from weakref import WeakKeyDictionary
@@ -103,9 +104,6 @@ STATEMENT = "statement "
 
 # Stands in place of a module in the reference of a function that only this session has.
 SESSION = "session"
-
-# Instructions that look a name up in a module, or in a class and then there.
-LOADS = ("LOAD_GLOBAL", "LOAD_NAME", "LOAD_FROM_DICT_OR_GLOBALS")
 
 # As the positions of instructions are written.
 _place_of = attrgetter("lineno", "end_lineno", "col_offset", "end_col_offset")
@@ -643,21 +641,25 @@ def _inside(code: CodeType) -> Iterator[CodeType]:
 
 @lru_cache(maxsize=4096)
 def _names_in(nodes: tuple[ast.AST, ...], code: CodeType | None) -> frozenset[str]:
-    """Return the names that statements of a module look up in it, but for what their classes bind themselves; or
-    functions of which this is the compiled code, also in their defaults and annotations.
+    """Return the names that statements of a module look up in it, or functions of which this is the compiled code; what
+    a class looks up it may have bound itself.
     """
-    texts = [*map(unparsed, nodes)]
-    if code is not None:  # what code changes of a default is left out of its value
+    text = "\n".join(map(unparsed, nodes))
+    if code is None:
+        top = symtable.symtable(text, "", "exec")
+    else:
+        inner = f"def around({', '.join(code.co_freevars)}):\n pass\n{indent(text, ' ')}"
+        (top,) = symtable.symtable(inner, "", "exec").get_children()
+    names = {one.get_name() for one in top.get_symbols() if one.is_referenced()}
+    if code is not None:  # also in defaults and annotations: what code changes of a default is left out of its value
         is_inner = "<" in code.co_qualname.rpartition(".")[0]  # whose defaults may have names of what is around it
-        args = [one.args for one in nodes if isinstance(one, Function) and not is_inner]
-        texts = [f"def around({unparsed(one)}): pass" for one in args]
-    # as in a cell of a notebook
-    top = compile("\n".join(texts), "", "exec", ast.PyCF_ALLOW_TOP_LEVEL_AWAIT, dont_inherit=True)
-    names = set[str]()
-    for one in (*_inside(top), *(_inside(code) if code else ())):
-        steps = [(step.opname, step.argval) for step in dis.get_instructions(one)]
-        bound = {name for kind, name in steps if kind == "STORE_NAME" and not code and one is not top}
-        names |= {name for kind, name in steps if kind in LOADS} - bound
+        parts = [getattr(node, "args", node) for node in nodes if not (is_inner and hasattr(node, "args"))]
+        names &= {n.id for node in parts for n in ast.walk(node) if isinstance(n, ast.Name)}
+    tables = [*top.get_children()]
+    for table in tables:  # which grows meanwhile
+        binds = code and table.get_type() == "class"  # what it may have looked up before
+        names |= {one.get_name() for one in table.get_symbols() if one.is_global() or (binds and one.is_referenced())}
+        tables += table.get_children()
     return frozenset(names)
 
 
