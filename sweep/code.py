@@ -644,7 +644,7 @@ def _names_in(nodes: tuple[ast.AST, ...], code: CodeType | None) -> frozenset[st
     """Return the names that statements of a module look up in it, or functions of which this is the compiled code; what
     a class looks up it may have bound itself.
     """
-    text = "\n".join(map(unparsed, nodes))
+    text = "\n".join(map(unparsed, nodes))  # not the instructions, which versions of Python make differently
     if code is None:
         top = symtable.symtable(text, "", "exec")
     else:
