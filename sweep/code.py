@@ -31,6 +31,7 @@ import sys
 import sysconfig
 import time
 import traceback
+import typing
 from collections import ChainMap, defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -43,7 +44,7 @@ from operator import attrgetter
 from pathlib import Path
 from textwrap import indent
 from types import CellType, CodeType, FunctionType, MappingProxyType, MethodType, ModuleType
-from typing import Any, ClassVar, SupportsAbs, TypeVar
+from typing import Any, ClassVar, NewType, SupportsAbs, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -88,6 +89,10 @@ DESCRIPTORS = (staticmethod, classmethod, property, cached_property, np.vectoriz
 PLAIN_CLASS = {*dir(type), *dir(SupportsAbs), "__weakref__", "__firstlineno__", "__static_attributes__"}
 # What such objects, and wrappers of libraries, have besides caches.
 WRAPPED = ("__func__", "fget", "fset", "fdel", "func", "pyfunc", "otypes", "signature", "__wrapped__", "_self_wrapper")
+# What a type stands for that is pickled by its name: an alias, a NewType, a type variable.
+MEANT = ("__value__", "__supertype__", "__bound__", "__constraints__", "__default__")
+
+ALIAS: Any = getattr(typing, "TypeAliasType", NewType)  # Python 3.12 and later
 
 Function = ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda
 Names = dict[str, Any]
@@ -347,7 +352,7 @@ class Reach:
         if isinstance(reduced, str):  # to be found in its module
             self._is_users(getattr(value, "__module__", None) or kind.__module__)
             if is_other:
-                return (reduced,)
+                return reduced, *(getattr(value, name) for name in MEANT if hasattr(value, name))
             reduced = reduced, (kind,), object.__getstate__(value)
         function, args, state, items, pairs = (*reduced, None, None, None)[:5]
         states = state if isinstance(state, tuple) else (state,)  # __dict__ and slots
@@ -458,7 +463,7 @@ class Reach:
                 if isinstance(inner, FunctionType):
                     self._follow(self._function, inner)
                     file = file or inner.__code__.co_filename  # the cell of a notebook
-                elif not name.startswith(PYTHONS) and inner is not None:
+                elif (not name.startswith(PYTHONS) or name == "__orig_bases__") and inner is not None:
                     text += self._refer(f"{label}.{name}", inner)
         index = _index(tree_of(file, names))
         nodes = index[f"class {cls.__name__}"]
@@ -895,6 +900,9 @@ def _pickler(file: io.BytesIO) -> pickle.Pickler:
         # In Python 3.11 a cached property holds a lock, which has no pickle.
         cached_property: lambda value: (cached_property, (value.func,), {"attrname": value.attrname}),
         WeakKeyDictionary: lambda value: (WeakKeyDictionary, ()),
+        # Pickle would look these up in a script or notebook, which workers do not have.
+        ALIAS: lambda value: (partial(ALIAS, type_params=value.__type_params__), (value.__name__, value.__value__)),
+        NewType: lambda value: (NewType, (value.__name__, value.__supertype__)),
         type(_warn): lambda value: (lru_cache(**value.cache_parameters()), (value.__wrapped__,)),
     }
 

@@ -145,19 +145,20 @@ def _read_signature(function: Callable[..., Any], problems: list[str]) -> "Funct
     arguments: Mapping[str, inspect.Parameter] = {}
     try:
         arguments = {} if problems else inspect.signature(function).parameters
-    except (ValueError, TypeError):
+    except (ValueError, TypeError, NameError):  # the last of annotations, in Python 3.14
         problems.append(f"Python cannot read its signature; {wrap}")
     if (first := next(iter(arguments), "")) in ("self", "cls") and "." in getattr(function, "__qualname__", ""):
         problems.append(f"is a method and takes {first}; give the method of an object, thing.{name}")
         arguments = {}
-    parameters, rng, names = [], RNG in arguments, getattr(inspect.unwrap(call), "__globals__", {})
+    parameters, rng, inner = [], RNG in arguments, inspect.unwrap(call)
+    names = getattr(inner, "__globals__", {}) | {one.__name__: one for one in getattr(inner, "__type_params__", ())}
     for argument in arguments.values():
         if argument.kind not in (argument.POSITIONAL_OR_KEYWORD, argument.KEYWORD_ONLY):
             problems.append(f"{argument} is {argument.kind.description}, and parameters are given by name; {wrap}")
         elif argument.name != RNG and not (rng and argument.name == N_SIM):
             try:
                 parameters.append(_parameter(argument, names))
-            except ValueError as error:
+            except (ValueError, NameError) as error:  # the second of an alias
                 problems.append(str(error))
     made = _undeclared(name, tuple(parameters), (), rng)
     return replace(made, call=function, takes_n_sim=rng and N_SIM in arguments)
@@ -203,8 +204,9 @@ def _annotation(argument: inspect.Parameter, names: Mapping[str, Any]) -> Any:
     """Return the annotation of an argument, also one that is written as a text; raises ValueError."""
     annotation = argument.annotation
     try:
-        for _ in range(2):  # a text in a text, as `from __future__ import annotations` makes it
+        for _ in range(2):  # a text in a text, as `from __future__ import annotations` makes it, or an alias
             annotation = eval(annotation, dict(names)) if isinstance(annotation, str) else annotation
+            annotation = getattr(annotation, "__value__", annotation)
     except Exception as error:  # whatever a text is
         text = f"parameter {argument.name!r}: its annotation {shown(annotation)} cannot be read"
         raise ValueError(f"{text}: {error}") from error
@@ -217,10 +219,10 @@ def _kind(annotation: Any) -> tuple[Kind | None, tuple[Any, ...]]:
     kinds: set[Kind | None]
     if isinstance(annotation, TypeVar):
         args = annotation.__constraints__ or (annotation.__bound__ or Any,)
-    elif hasattr(annotation, "__supertype__"):
-        args = (annotation.__supertype__,)
     if origin is Annotated:
         return _kind(args[0])
+    if (meant := getattr(annotation, "__supertype__", getattr(annotation, "__value__", None))) is not None:
+        return _kind(meant)
     if origin is Literal:
         choices = tuple(one for one in args if one is not None)
         kinds = {KINDS.get(type(choice)) for choice in choices}

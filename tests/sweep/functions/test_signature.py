@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from astropy.table import Column
 from scipy.signal.windows import kaiser
+from typing_extensions import TypeAliasType
 
 import linksweep
 from linksweep import Output, Parameter, SweepError, experiment, load_study, run
@@ -30,9 +31,8 @@ WRONG = [  # what is declared of which function, and what is said of it
     ({"outputs": [replace(RAGGED, dims="s", coords={"s": [1, 2]})]}, lambda x: [x], "return its coordinate as another"),
     ({"outputs": [RAGGED]}, lambda x, rng: [x], "ragged: statistics of realisations need one length"),
 ]
-Mass = NewType("Mass", float)
-REAL = TypeVar("REAL", bound=float)
-CHOICE = Literal[2.0, "a", None]
+Mass = TypeAliasType("Mass", NewType("Mass", float))
+REAL, CHOICE = TypeVar("REAL", bound=float), Literal[2.0, "a", None]
 NUMBERS = [object, numbers.Real, numbers.Rational, Mass, Mass | int, "Mass", "'float'", REAL, AnyStr, Final[Mass]]
 NUMBERS += [SupportsFloat, Hashable, complex, np.number, CHOICE]
 

@@ -31,6 +31,7 @@ USES = [  # a value of a module, another one, and what a function does with it
     ("{'k': 3}", "{'k': 4}", "V[x] = x"),
     ("scipy.stats.norm(3)", "scipy.stats.norm(4)", "V.mean() if x < 0 else 0"),
     ("np.random.default_rng(3)", "np.random.default_rng(4)", "V.normal()"),
+    ("__import__('typing').NewType('V', 3)", "__import__('typing').NewType('V', 4)", "V(x)"),
 ]
 EQUAL = [("[[0] * 3] * 3", "[[0] * 3 for _ in range(3)]"), ("[np.zeros(2)] * 2", "[np.zeros(2), np.zeros(2)]")]
 EQUAL += [("np.array([[0.0, 1.0], [2.0, 3.0]])", "np.array([[0.0, 2.0], [1.0, 3.0]]).T")]
@@ -272,10 +273,9 @@ def test_attributes_count_as_they_are_when_the_run_starts(tmp_path, monkeypatch,
 
 @pytest.mark.parametrize(("statement", "value", "other", "body"), COUNTED)
 def test_a_value_counts_where_it_is_bound_whoever_imports_it(tmp_path, sweep, statement, value, other, body):
-    body = body.replace("V", "W") if " as W" in statement else body
-    inside = "from m import V; " if "def g" in statement else ""
+    body = "from m import V; " * ("def g" in statement) + body.replace("V", "W" if " as W" in statement else "V")
     (tmp_path / "between.py").write_text("from m import *\n")
-    text = f"import copy, sys as s\n{statement}\ndef f(x: float):\n    {inside}{body}\n    return x\n"
+    text = f"import copy, sys as s\n{statement}\ndef f(x: float):\n    {body}\n    return x\n"
     (tmp_path / "main.py").write_text(text)
     for there, expected in ((value, 0), (value, 0), (other, 2)):
         needs = "import scipy.stats" if "scipy" in value else "import numpy as np"

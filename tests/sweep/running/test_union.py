@@ -20,7 +20,7 @@ OUTPUTS = [Output(name, dims="step") for name in ("words", "counts", "times")]
 OUTPUTS += [Output("path", dims="step", ragged=True), Output("table", dims=("k", "step")), Output("number", nan=True)]
 @experiment(outputs=OUTPUTS)
 def plain(x: float, y: int = 2, name: str = "a"):
-    steps, when = int(2.0 * x) - 1, np.datetime64("2020-01-01T00:00:00.000000001") + y
+    steps, when = int(2.0 * x) - 1, np.datetime64("2020-01-01T00:00:00.00000000" + str(y))
     return {
         "value": VERSION * 1000.0 + 10.0 * x + y + ord(name),
         "number": y if x < 2.0 else np.nan if y == 5 else x / 3.0,
