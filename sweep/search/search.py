@@ -605,7 +605,7 @@ def matches_dataset(result: SearchResult) -> xr.Dataset:
     few = entries.sample(len(entries) // max(1, -(-len(entries) // MOST_ENTRIES)), random_state=0)
     variables |= {f"entry_{name}": ("entry", few[name].to_numpy(), {"units": "deg"}) for name in few}
     about = {"result": "match", "title": f"Galaxies in {next(iter(result.stars))}", "columns": list(columns)}
-    summary = json.dumps({"linksweep": version("linksweep"), **summarise(result)})
+    summary = json.dumps({"linksweep": version("linksweep"), **summarise(result, columns)})
     return xr.Dataset(variables, attrs=about | {"entries": len(entries), "summary": summary})
 
 
@@ -663,13 +663,13 @@ def galaxy_table(columns: pd.DataFrame) -> str:
     return "".join(lines)
 
 
-def summarise(result: SearchResult) -> dict[str, Any]:
-    """Return the summary of a search: what was searched, chance matches, and counts and means for each class.
+def summarise(result: SearchResult, columns: pd.DataFrame) -> dict[str, Any]:
+    """Return the summary of a search: what was searched, chance matches, and counts and means of the matches' columns
+    for each class.
 
     A mean of no values is NaN.
     """
     search, matches, asked = result.search, result.matches, result.search.asked
-    columns = match_columns(result)
     magnitude = next((name for name in MAGNITUDES if name in columns), None)
     notes = []
     for name, table in result.stars.items():
