@@ -81,7 +81,7 @@ def measure(dataset: xr.Dataset, claim: Derived, derived: Slope | Ratio | Readin
     raises OutsideGridError for a place that is not in the grid.
     """
     everywhere = list(_measured(dataset, claim, derived))
-    return [one for one in everywhere if not one.missing.startswith(quantity.EXCLUDED)] or everywhere
+    return [one for one in everywhere if one.missing != quantity.EXCLUDED] or everywhere
 
 
 def _measured(dataset: xr.Dataset, claim: Derived, derived: Slope | Ratio | Reading) -> Iterator[Measured]:
@@ -166,7 +166,7 @@ def _slope(line: laws.Line, where: Mapping[str, Any], over: str, fit: Callable[.
         return Measured(where, missing=_why(set(line.status.tolist()) - {Status.DONE}, some))
     if (n := len(line.x)) < 2:
         few = f"a slope needs two values of {over}; this grid has {n}"
-        return Measured(where, missing=few if n else f"{quantity.EXCLUDED}: every point")
+        return Measured(where, missing=few if n else quantity.EXCLUDED)
     if not (np.all(line.x > 0.0) and np.all(np.isfinite(line.y)) and np.all(line.y > 0.0)):
         return Measured(where, broken="there are values that are not above 0, which have no power law")
     try:
@@ -179,7 +179,7 @@ def _slope(line: laws.Line, where: Mapping[str, Any], over: str, fit: Callable[.
 def _why(codes: set[int], subject: str) -> str:
     if Status.FAILED in codes:
         return f"failed: {subject}"
-    return f"{quantity.EXCLUDED}: {subject}" if Status.EXCLUDED in codes else f"{NOT_DONE}: {subject}"
+    return quantity.EXCLUDED if Status.EXCLUDED in codes else f"{NOT_DONE}: {subject}"
 
 
 # Verdicts

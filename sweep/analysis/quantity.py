@@ -47,7 +47,7 @@ COVARIANCE_SUFFIX = "mc_covariance"
 SHARES_RANDOM_NUMBERS, SHARED_AXES = "common_random_numbers", "shared_axes"
 
 # What is said of places at which a study has no point.
-EXCLUDED = "excluded by the study"
+EXCLUDED = "no point in the study"
 
 
 # Quantities and their errors

@@ -132,7 +132,7 @@ def test_what_draws_random_numbers_is_judged_only_by_an_error_that_is_known(tmp_
 
 
 def test_a_point_that_is_not_done_is_incomplete_and_not_left_out():
-    for code, reason in ((MISSING, "not done yet"), (FAILED, "failed"), (EXCLUDED, "excluded by the study")):
+    for code, reason in ((MISSING, "not done yet"), (FAILED, "failed"), (EXCLUDED, "no point in the study")):
         status = np.full((2, len(N)), DONE, np.int8)
         status[0, 1] = code
         value = np.where(status == DONE, 0.6, np.nan)

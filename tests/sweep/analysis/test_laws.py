@@ -49,7 +49,7 @@ def test_a_covariance_is_that_of_the_dataset_or_of_the_call_and_of_the_points_th
     without = fit_power_law(shared.assign(status=(("model", "n"), status)), "width", "n", expected=-0.5)
     assert without["exponent"].values == pytest.approx([-0.5, np.nan], nan_ok=True)
     rows = list(zip(without["points"].values, without["conclusion"].values, strict=True))
-    assert rows == [(4.0, "as expected"), (0.0, "excluded by the study")]
+    assert rows == [(4.0, "as expected"), (0.0, "no point in the study")]
     found = find(grid(N, status=[[DONE] + [EXCLUDED] * 4, [DONE] * 2 + [EXCLUDED] * 3]), "width > 500", "n")
     words = (
         "left out; only 1 of 5 points: 10",
