@@ -412,20 +412,22 @@ def add_covariances(dataset: Labelled, plan: Plan, accumulator: Accumulator, sto
     The independent samples are the catalogues, each with all its blocks, or the blocks where there is one catalogue.
     The results without each of them in turn give the covariance (Efron 1982, The Jackknife, Sect. 3.5 and 6.1).  It has
     all correlated errors: those of realisations, and those of catalogues if there are several.  The attribute
-    ``samples`` says how many samples there were; with fewer than `FEWEST_SAMPLES` there is no covariance.
+    ``samples`` says how many samples all points have; with fewer than `FEWEST_SAMPLES` there is no covariance.
     """
-    samples, grid, experiment = _independent(plan), plan.grid, plan.grid.study.experiment
-    if len(samples) < FEWEST_SAMPLES:
+    grid, experiment, n_sim = plan.grid, plan.grid.study.experiment, plan.grid.study.sampling.n_sim
+    longest = int(accumulator.realisations.max()) // plan.grid.study.sampling.n_cat
+    samples, most = (len(_independent(plan, n)) for n in (n_sim, longest))
+    if samples < FEWEST_SAMPLES:
         return dataset
     lengths = dict(zip(grid.dimensions, grid.shape, strict=True))
     shared = [dimension for dimension, axes in grid.dimensions.items() if {*axes} <= {*experiment.shared}]
     outputs = {output.name: output for output in experiment.outputs}
     with_error = [o for o in outputs.values() if f"{o.name}_mc_error" in outputs and o.name not in grid.study.axes]
     size = {o: len(grid) * experiment.size_of(o) for o in with_error}
-    wanted = [(o, d) for o in with_error for d in shared if size[o] * max(lengths[d], len(samples)) <= LARGEST]
-    deviations = _deviations(plan, accumulator, samples, [o for o, _ in wanted], store) if wanted else {}
+    wanted = [(o, d) for o in with_error for d in shared if size[o] * max(lengths[d], most) <= LARGEST]
+    deviations = _deviations(plan, accumulator, most, [o for o, _ in wanted], store) if wanted else {}
     made = {
-        f"{output.name}_mc_covariance_{dimension}": _covariance(plan, deviations[output.name], output, dimension)
+        f"{output.name}_mc_covariance_{dimension}": _covariance(plan, deviations, output, dimension, samples)
         for output, dimension in wanted
         if not np.isnan(deviations[output.name]).all()  # as of quantiles, which no sum gives
     }
@@ -433,37 +435,41 @@ def add_covariances(dataset: Labelled, plan: Plan, accumulator: Accumulator, sto
     return replace(dataset.assign(made), coords=dataset.coords | others)
 
 
-def _independent(plan: Plan) -> list[list[Block]]:
-    """Return the blocks of each sample: points that share random numbers have the same blocks whatever they cost.
+def _independent(plan: Plan, n_sim: int) -> list[list[Block]]:
+    """Return the blocks of each sample of a point with ``n_sim`` realisations of each catalogue: points that share
+    random numbers have the same blocks whatever they cost.
 
-    Where there is one catalogue, each of its blocks is a sample, except a last one that is smaller.
+    Where there is one catalogue, each of its blocks is a sample, except one that is smaller.
     """
-    blocks = plan.blocks(1.0)
+    blocks = plan.blocks(1.0, range(plan.parts(1.0, n_sim)))
     if plan.grid.study.sampling.n_cat == 1:
         return [[block] for block in blocks if block.n_sim == blocks[0].n_sim]
     return [list(group) for _, group in groupby(blocks, key=lambda block: block.group)]
 
 
 def _deviations(
-    plan: Plan, accumulator: Accumulator, samples: Sequence[Sequence[Block]], outputs: Sequence[Output], store: Store
+    plan: Plan, accumulator: Accumulator, most: int, outputs: Sequence[Output], store: Store
 ) -> dict[str, Array]:
-    """Return each result without each of the samples in turn, less the mean, scaled so that products add up to the
-    covariance; (points, size of the result, samples), NaN for points that are not done.
+    """Return each result without each of its samples in turn, less the mean, scaled so that products add up to the
+    covariance; (points, size of the result, most samples), NaN for points that are not done, and 0 for a sample that
+    only others have.
     """
-    grid, count, rows, ledger = plan.grid, len(samples), store.rows, store.read()
+    grid, rows, ledger = plan.grid, store.rows, store.read()
     experiment, n_cat, reducer = grid.study.experiment, grid.study.sampling.n_cat, accumulator.reducer
-    alone_n = sum(block.realisations for block in samples[0])
-    catalogues = np.full(count, float(max(n_cat - 1, 1)))
-    deviations = {o.name: np.full((len(grid), experiment.size_of(o), count), np.nan) for o in outputs}
+    deviations = {o.name: np.full((len(grid), experiment.size_of(o), most), np.nan) for o in outputs}
     for point in grid.points(np.flatnonzero(accumulator.status == Status.DONE)):
         n, total = float(accumulator.realisations[point.index]), accumulator.total[point.index : point.index + 1]
-        row = {block: rows[ledger_key(point.digest, block)] for block in plan.blocks(1.0)}
+        n_sim = int(n) // n_cat
+        samples, blocks = _independent(plan, n_sim), plan.blocks(1.0, range(plan.parts(1.0, n_sim)))
+        count, alone_n = len(samples), sum(block.realisations for block in samples[0])
+        row = {block: rows[ledger_key(point.digest, block)] for block in blocks}
         if isinstance(reducer, Sums):
-            alone = [reducer.flat(ledger[[row[block] for block in blocks]]).sum(axis=0) for blocks in samples]
+            alone = [reducer.flat(ledger[[row[block] for block in one]]).sum(axis=0) for one in samples]
             without = reducer.typed(reducer.flat(total) - np.array(alone))
         else:
-            without = _without_each(reducer, [ledger[place : place + 1] for place in row.values()])[:count]
-        results = reducer.finish(without, np.full(count, n - alone_n), catalogues)
+            without = _without_each(reducer, [ledger[place : place + 1] for place in row.values()])
+            without = without[[blocks.index(first) for first, *_ in samples]]
+        results = reducer.finish(without, np.full(count, n - alone_n), np.full(count, float(max(n_cat - 1, 1))))
         draws = np.array([n, float(n_cat)]).reshape(2, 1)
         twice = reducer.finish(reducer.add(total, total), *draws * [[2.0], [min(n_cat, 2.0)]])
         once = reducer.finish(total, *draws)
@@ -474,7 +480,8 @@ def _deviations(
                 power = np.log2(np.reshape(twice[name] / once[name], (-1, 1)))  # 0 of a mean, 1 of a sum
             known = np.abs(power - np.round(power)) < 1e-9
             values = values * (n / (n - alone_n)) ** np.where(known, np.round(power), 0.0)
-            mine[point.index] = scale * (values - values.mean(axis=1, keepdims=True))
+            mine[point.index] = 0.0
+            mine[point.index, :, :count] = scale * (values - values.mean(axis=1, keepdims=True))
     return {name: grid.with_repeats(mine) for name, mine in deviations.items()}
 
 
@@ -485,14 +492,13 @@ def _without_each(reducer: Reducer, blocks: Sequence[Rows]) -> Rows:
     return np.concatenate([last[-2], *between, first[-2]])
 
 
-def _covariance(plan: Plan, deviations: Array, output: Output, dimension: str) -> Variable:
-    grid, count = plan.grid, deviations.shape[-1]
-    dimensions = list(grid.dimensions)
-    shaped = deviations.reshape(*grid.shape, *grid.study.experiment.shape_of(output), count)
+def _covariance(plan: Plan, deviations: Mapping[str, Array], output: Output, dimension: str, samples: int) -> Variable:
+    grid, dimensions = plan.grid, list(plan.grid.dimensions)
+    shaped = deviations[output.name].reshape(*grid.shape, *grid.study.experiment.shape_of(output), -1)
     shaped = np.moveaxis(shaped, dimensions.index(dimension), -2)
     covariance = shaped @ np.swapaxes(shaped, -1, -2)
     meaning = f"covariance of {output.name} between points along {dimension}"
-    attributes = described(squared(output.unit), meaning) | {"samples": count}
+    attributes = described(squared(output.unit), meaning) | {"samples": samples}
     others = (d for d in dimensions if d != dimension)
     return Variable((*others, *output.dims, dimension, f"{dimension}_other"), covariance, attributes)
 

@@ -36,8 +36,7 @@ def said(dataset):
 def concluding(dataset, *sentences, grid=None, **values):
     study = {"title": "t", "axes": {"model": ["amex", "gaia"], "v_max": [14.0, 20.0, 21.0]}}
     study |= {"conclusion": {"sentences": list(sentences), "values": values}, "fixed": {"catalogue": "quasars"}}
-    conclusion = study_from_dict(study | (grid or {})).conclusion
-    return said(dataset.assign_attrs(conclusion=conclusion.model_dump_json()))
+    return said(dataset.assign_attrs(conclusion=study_from_dict(study | (grid or {})).conclusion.model_dump_json()))
 
 
 ANY = {"value": {"variable": "sigma_spin"}}

@@ -105,8 +105,7 @@ def test_morris_effects_of_a_linear_function_are_its_slopes(tmp_path):
         return {"z": 3.0 * a - 2.0 * b + 0.0 * c + 10.0 * k - n, "product": a * b * c}
 
     ranges = {"a": [0, 1], "b": [0, 10], "c": [1, 2], "k": [0, 5], "n": {"values": [9, 1, 2, 4, 8]}}
-    points = {"design": "morris", "n": 6, "ranges": ranges}
-    ds = run(plane, tmp_path / "s.zarr", points=points)
+    ds = run(plane, tmp_path / "s.zarr", points={"design": "morris", "n": 6, "ranges": ranges})
     far = sensitivity(ds.assign(product=2.0**600 * ds["product"]), "product")
     assert far.equals(2.0**600 * sensitivity(ds, "product"))
     found = sensitivity(ds, "z")

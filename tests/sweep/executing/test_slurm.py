@@ -118,8 +118,7 @@ def jobs(slurm):
 
 @pytest.mark.parametrize("size", ["scale = 2", "adapt = { minimum = 0, maximum = 2 }"])
 def test_a_study_runs_in_jobs(start, tmp_path, slurm, reference, size):
-    process = start("--cluster", cluster_file(tmp_path, size), waits=False)
-    assert "the SLURMCluster of" in to_its_end(process)
+    assert "the SLURMCluster of" in to_its_end(start("--cluster", cluster_file(tmp_path, size), waits=False))
     same(tmp_path / "s.zarr", reference)
     wait_until(lambda: not jobs(slurm), "the end of the jobs")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["log", "s.zarr", "scratch", "slurm.toml", "small.toml"]

@@ -6,7 +6,7 @@ import xarray as xr
 
 import linksweep
 from linksweep import Output, SweepError, experiment
-from tests.sweep.opening import same
+from tests.sweep.opening import make_grid, run, same, study_from_dict
 from tests.tiers import few
 
 KEPT = {"n_sim": 1200, "seed": 3, "keep_samples": True}  # three blocks
@@ -133,6 +133,22 @@ def test_the_covariance_of_a_mean_is_that_of_its_blocks_and_that_of_a_sum_is_of_
             np.testing.assert_allclose(ds[f"{name}_mc_covariance_step"], factor**2 * wanted, rtol=1e-9)
         squared = ds.sum_mc_covariance_step * 4.0 * np.outer(ds["sum"], ds["sum"])  # to first order
         np.testing.assert_allclose(ds.product_mc_covariance_step, squared, rtol=0.1)
+
+
+@pytest.mark.parametrize(("name", "n_cat", "n"), [("f_mean", 1, 512 * 6), ("sigma_spin", 7, 512)])
+def test_a_point_with_more_realisations_has_the_variance_that_these_give_it(tmp_path, name, n_cat, n):
+    code = "def f(rng, error_scale=1.0):\n    return error_scale * rng.normal(1.0)\n"
+    (tmp_path / "f.py").write_text(f"import linksweep\n@linksweep.experiment(shared='error_scale')\n{code}")
+    study = {"experiment": f"{tmp_path}/f.py:f"} if n_cat == 1 else {"fixed": {"catalogue": "quasars", "v_max": 15.0}}
+    sampling = {"n_cat": n_cat, "common_random_numbers": True}
+    study |= {"title": name, "axes": {"error_scale": [1.0, 2.0]}, "sampling": sampling | {"n_sim": n}}
+    counts = {make_grid(study_from_dict(study)).point(1).digest.hex(): 2 * n}
+    runs = {"one": {"counts": counts}, "whole": {"sampling": sampling | {"n_sim": 2 * n}}}
+    one, whole = (
+        run(study | more, tmp_path / s)[f"{name}_mc_covariance_error_scale"].values for s, more in runs.items()
+    )
+    assert one[1, 1] == whole[1, 1]
+    np.testing.assert_allclose(one[0, 1], one[0, 0] * (1.0 if n_cat == 1 else 2.0), rtol=0.3)  # half the draws, or all
 
 
 @pytest.mark.parametrize("kind", [int, float, bool])

@@ -87,8 +87,7 @@ def test_a_law_is_drawn_as_fitted_with_its_guide(dataset_of):
 
 def test_a_map_shows_the_values_in_their_places(dataset_of):
     dataset = dataset_of("error-surface")
-    figure = linksweep.plot(dataset, "map", over=["reference_error_scale", "satellite_error_scale"])
-    axes, bar = figure.axes
+    axes, bar = linksweep.plot(dataset, "map", over=["reference_error_scale", "satellite_error_scale"]).axes
     wanted = dataset["sigma_spin"].transpose("satellite_error_scale", "reference_error_scale").values
     assert np.asarray(axes.collections[0].get_array()).reshape(wanted.shape) == pytest.approx(1000.0 * wanted)
     assert axes.get_xlabel() == r"reference error scale $\Delta_\mathrm{ref}$"

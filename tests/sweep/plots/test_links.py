@@ -146,8 +146,7 @@ def test_the_sky_of_a_point_is_its_catalogue(store_of):
     assert dataset.sizes["object"] == 88
     assert dataset["v_mag"].max() <= 15.0
     figure = sky.sky_figure(dataset)
-    title = " ".join(figure.get_suptitle().split())
-    assert "the 88 objects of one catalogue, model=gaia, v_max=15" in title
+    assert "the 88 objects of one catalogue, model=gaia, v_max=15" in " ".join(figure.get_suptitle().split())
     assert figure.axes[1].get_xlabel() == "$V$ [mag]"
     again = sky.catalogue_of_point(store_of("quasars"), ["model=gaia,v_max=15"])
     assert np.array_equal(again["ra"], dataset["ra"])

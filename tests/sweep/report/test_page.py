@@ -39,8 +39,7 @@ def chirp(a: float, b: float, window: str, n: int = 9):
 
 def grid(value, status=None, **others):
     parts = {f"width_{name}": (("model", "size"), np.asarray(part, float)) for name, part in others.items()}
-    dataset = made.grid(value, x=[1.0, 2.0, 4.0], name="size", status=status, **parts)
-    return dataset.assign_attrs(complete=1)
+    return made.grid(value, x=[1.0, 2.0, 4.0], name="size", status=status, **parts).assign_attrs(complete=1)
 
 
 @pytest.fixture

@@ -190,8 +190,7 @@ def test_fresh_replaces_a_store_and_nothing_else(folder, sweep):
     sweep("run", "s.toml", "-o", "s.zarr", "--fresh", cwd=folder, code=0)
     dataset = linksweep.open(folder / "s.zarr")
     assert (dataset["mean"].values.tolist(), "code" in dataset) == ([200.0, 300.0], False)
-    assert (folder / "s.zarr" / "notes.txt").read_text() == "mine"
-    assert sweep("check", "s.zarr", cwd=folder)[0] == 0
+    assert ((folder / "s.zarr" / "notes.txt").read_text(), sweep("check", "s.zarr", cwd=folder)[0]) == ("mine", 0)
     (folder / "other").mkdir()
     (folder / "other" / "thesis.txt").write_text("years of work")
     for place, code in (("other", 2), ("helper.py", 2), ("none.zarr", 0)):

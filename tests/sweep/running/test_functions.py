@@ -89,8 +89,7 @@ def test_a_run_returns_what_its_store_has_and_no_value_is_taken_for_a_missing_on
         return table[k] or 1 / 0
 
     store = tmp_path_factory.mktemp("same") / "s.zarr"
-    axes = {"k": range(len(table)), "name": ["é"]}
-    made = run(row, store, axes=axes, max_failures="100%").squeeze("name")
+    made = run(row, store, axes={"k": range(len(table)), "name": ["é"]}, max_failures="100%").squeeze("name")
     whole, plain = linksweep.open(store).squeeze("name"), xr.open_zarr(store).load().squeeze("name")
     xr.testing.assert_identical(made, whole)
     assert {n: v.dtype for n, v in made.variables.items()} == {n: v.dtype for n, v in whole.variables.items()}

@@ -206,8 +206,7 @@ def test_interrupted_while_the_cluster_starts(start_sweep, sleepers, moment):
 
 @pytest.mark.slow
 def test_the_second_signal_ends_it_at_once(start_sweep, sleepers):
-    command = [sys.executable, "-c", SLOW, *sleepers(0.0, sheep=3)]
-    process = start_sweep(command=command, start_new_session=True)
+    process = start_sweep(command=[sys.executable, "-c", SLOW, *sleepers(0.0, sheep=3)], start_new_session=True)
     assert "writing\n" in process.stderr  # which are lines: standard output has results alone
     os.killpg(process.pid, signal.SIGINT)
     time.sleep(0.3)

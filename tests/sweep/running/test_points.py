@@ -47,8 +47,7 @@ def test_repeated_rows_are_computed_once_and_stand_in_the_table_as_often(tmp_pat
     assert calls == [(1.0, 1), (1.0, 1), (1.0, 2), (2.0, 1), (2.0, 2), (3.0, 1), (3.0, 2)]  # the first one twice
     assert (ds.y.dims, ds.x.dims, ds.point.values.tolist()) == ((POINT, "k"), (POINT,), [0, 1, 2, 3, 4])
     expected = [[0.1 * x + k for k in (1, 2)] for x in (1.0, 2.0, 1.0, 3.0, 2.0)]
-    assert ds.y.values.tolist() == expected
-    assert ds.name.values[:, 0].tolist() == ["1", "2", "1", "3", "2"]
+    assert (ds.y.values.tolist(), ds.name.values[:, 0].tolist()) == (expected, ["1", "2", "1", "3", "2"])
     assert (ds.attrs["points"], ds.attrs["points_done"], ds.attrs["complete"]) == (10, 10, 1)
     assert np.all(ds.status == 1)
     assert xr.open_zarr(tmp_path / "s.zarr").load().y.values.tolist() == expected

@@ -81,8 +81,7 @@ def test_blocks_add_up_whoever_computed_them(tmp_path):
         assert all(ds.wall_time.sel(x=x) >= 600 * 5e-5 * x for x in (1.0, 3.0))
     same(merged, more)
     # the same points took another time, and are the same numbers
-    again = merge([tmp_path / "s", tmp_path / "t"], tmp_path / "u")
-    same(again, more)
+    same(merge([tmp_path / "s", tmp_path / "t"], tmp_path / "u"), more)
 
 
 @pytest.mark.parametrize("chains", [1, slow(6)])

@@ -247,8 +247,7 @@ def test_a_notebook_does_not_call_a_run_with_failures_done(tmp_path, monkeypatch
 def test_a_run_whose_first_points_all_fail_alike_stops_and_goes_on_where_it_stopped(folder, sweep_here, name, pool):
     command = ("run", f"f.py:{name}", "--axis", "x=0:99:1", "-o", "s.zarr", *pool)
     code, out, err = sweep_here(*command)
-    words = "stopped: the first 20 points all failed for the same reason: "
-    assert (code, out, words in err) == (1, "", True)
+    assert (code, out, "stopped: the first 20 points all failed for the same reason: " in err) == (1, "", True)
     assert re.search(r"like ImportError: no package for (\d+), for example at x=\1", err)  # whichever came first
     before = status_report("s.zarr")["points"]["failed"]
     assert FIRST <= before < 100

@@ -189,8 +189,7 @@ def test_the_map_shows_every_class_with_longitude_to_the_left():
     classes = ["certain", "certain", "uncertain", "supplement"]
     sky = {"ra": ("match", np.full(4, 200.0)), "dec": ("match", np.zeros(4)), "class": ("match", classes)}
     sky |= {"entry_ra": ("entry", np.linspace(0.0, 300.0, 5)), "entry_dec": ("entry", np.zeros(5))}
-    figure = draw_figure(xr.Dataset(sky, attrs={"result": "match", "title": "sky", "entries": 10}))
-    axes = figure.axes[0]
+    axes = draw_figure(xr.Dataset(sky, attrs={"result": "match", "title": "sky", "entries": 10})).axes[0]
     lines = {line.get_label(): line for line in axes.lines}
     shown = ["certain (2)", "uncertain (1)", "supplement (1)", "galaxy catalogues (10, 1 in 2 drawn)"]
     styles = [(lines[k].get_marker(), lines[k].get_markerfacecolor()) for k in shown]
