@@ -126,9 +126,9 @@ def open_result(where: Any, running: bool = False) -> Result:
     Raises SweepError if there is no store, if it has no results yet, or if it is damaged.
     """
     from linksweep.sweep.analysis.quantity import with_running
-    from linksweep.sweep.stores.store import open_dataset
+    from linksweep.sweep.stores.store import OpenStore
 
-    return stored_table(where) or Result(with_running(open_dataset(where, running)))
+    return stored_table(where) or Result(with_running(OpenStore(where).dataset(running)))
 
 
 def stored_table(where: Any) -> Result | None:

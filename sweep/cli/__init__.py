@@ -300,11 +300,11 @@ def part_of(store: "Location", at: At, excluded_too: bool = False, running: bool
     """
     from linksweep.sweep.analysis.quantity import ERROR_SUFFIXES, array_outputs, select, with_running
     from linksweep.sweep.contract import Status
-    from linksweep.sweep.stores.store import open_dataset
+    from linksweep.sweep.stores.store import OpenStore
     from linksweep.sweep.studies.reader import parse_places
 
     places = parse_places(at)
-    dataset = with_running(open_dataset(store, running))
+    dataset = with_running(OpenStore(store).dataset(running))
     try:
         part = select(dataset, places)
         for name in set(array_outputs(dataset)) - set(array_outputs(part)):

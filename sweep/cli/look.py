@@ -66,10 +66,10 @@ def _answer(name: str) -> list[str]:
         # Before the imports: most studies of the list were never run here.
         return []
     from linksweep.sweep.analysis.answer import answer_in_short, completeness
-    from linksweep.sweep.stores.store import open_dataset
+    from linksweep.sweep.stores.store import OpenStore
 
     try:
-        dataset = open_dataset(default_store(name))
+        dataset = OpenStore(default_store(name)).dataset()
         return [*completeness(dataset)[:1], *answer_in_short(dataset)]
     except linksweep.SweepError as error:
         return [f"Its store cannot be read: {'; '.join(error.problems)}"]

@@ -133,10 +133,6 @@ class Plan:
                 blocks.append(Block(group, part, first, min(catalogues, n_cat - first), n_sim))
         return tuple(blocks)
 
-    def groups(self, cost: float) -> int:
-        """Return into how many groups the catalogues of a point are cut."""
-        return -(-self.grid.study.sampling.n_cat // self.block_shape(cost)[1])
-
     def parts(self, cost: float, n_sim: int | None = None) -> int:
         """Return into how many parts ``n_sim`` realisations of a catalogue (by default the study's) are cut."""
         sampling, (sims, _) = self.grid.study.sampling, self.block_shape(cost)
@@ -207,8 +203,8 @@ class Plan:
 
     def size(self, cost: float, points: int = 1) -> PlanSize:
         """Return the counts of whole points that cost the same, by arithmetic."""
-        sampling = self.grid.study.sampling
-        parts, groups = self.parts(cost), self.groups(cost)
+        sampling, parts = self.grid.study.sampling, self.parts(cost)
+        groups = -(-sampling.n_cat // self.block_shape(cost)[1])
         realisations = sampling.n_cat * self.realisations(cost, parts)
         work = realisations * cost + sampling.n_cat * parts * OVERHEAD
         return PlanSize(points, points * parts * groups, points * realisations, points * work)

@@ -27,7 +27,7 @@ from linksweep.sweep.planning.plan import generators
 from linksweep.sweep.plots import style
 from linksweep.sweep.running.reproduce import study_to_look_at
 from linksweep.sweep.stores.location import Where
-from linksweep.sweep.stores.store import open_dataset
+from linksweep.sweep.stores.store import OpenStore
 from linksweep.sweep.studies.reader import parse_places
 from linksweep.sweep.studies.study import Study
 from linksweep.sweep.tables.columns import table_file
@@ -140,7 +140,7 @@ def catalogue_of_point(store: Where, at: Sequence[str]) -> xr.Dataset:
     Raises SweepError if the store is not of the link, or ``at`` is not one point of it.
     """
     study = study_to_look_at(store)
-    point = point_in(open_dataset(store), study, parse_places(at), str(store))
+    point = point_in(OpenStore(store).dataset(), study, parse_places(at), str(store))
     _, rng = generators(study.sampling.seed, point.stream, 0, 0)
     catalogue = scenario(point.parameters).draw_catalogue(rng)
     title = f"{study.title}: the {len(catalogue)} objects of one catalogue"

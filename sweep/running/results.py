@@ -227,7 +227,7 @@ def typed_array(
     done: NDArray[np.bool_],
     shape: tuple[int, ...],
     missing: Any,
-    within: NDArray[np.bool_] | None = None,
+    within: NDArray[np.bool_] | None,
 ) -> NDArray[Any]:
     """Return an array (points, *shape) with the results (done points, *shape) at the points that are done, where they
     are ``within`` their lengths, and what stands for ``missing`` ones elsewhere; truth values become floats then.

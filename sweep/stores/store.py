@@ -377,15 +377,6 @@ def put_root(location: Location, attributes: Mapping[str, Any]) -> dict[str, Any
     return root
 
 
-def open_dataset(where: Where, running: bool = False) -> "xr.Dataset":
-    """Return the labelled dataset of a store, in memory, as it was written at one time, whatever a run does meanwhile;
-    with ``running`` it has the arrays `RUNNING`.
-
-    Raises SweepError unless a linksweep store of this format is there, if there is no dataset yet or it is damaged.
-    """
-    return OpenStore(where).dataset(running)
-
-
 def finished(dataset: Any) -> Any:
     """Return a dataset without what points that are not done have so far."""
     return dataset.drop_vars([name for name in dataset.data_vars if str(name).endswith(RUNNING)])

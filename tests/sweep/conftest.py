@@ -103,6 +103,6 @@ def store_of(tmp_path_factory, worker_id):
 
 @pytest.fixture
 def dataset_of(store_of):
-    from tests.sweep.opening import open_dataset
+    from tests.sweep.opening import OpenStore
 
-    return lambda name: open_dataset(store_of(name))
+    return lambda name: OpenStore(store_of(name)).dataset()

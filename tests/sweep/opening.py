@@ -26,7 +26,7 @@ from linksweep.sweep.stores import ledger, location
 from linksweep.sweep.stores.integrity import MANIFEST, sealed, unsealed
 from linksweep.sweep.stores.ledger import file_of, path_of
 from linksweep.sweep.stores.location import Folder, Holder, holder, located, locked, short_name, store_named
-from linksweep.sweep.stores.store import OpenStore, Store, check, chunk_checksums, create_store, open_dataset, repair
+from linksweep.sweep.stores.store import OpenStore, Store, check, chunk_checksums, create_store, repair
 from linksweep.sweep.studies.reader import load_study, study_from_dict
 from linksweep.sweep.studies.record import begun_by, provenance
 from linksweep.sweep.studies.study import POINT, POINT_TABLE

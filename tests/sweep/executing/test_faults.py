@@ -15,7 +15,7 @@ import pytest
 import linksweep
 from tests.conftest import LINK_STUDY
 from tests.sweep.executing.test_clusters import FILES
-from tests.sweep.opening import open_dataset, rows_on_disk, same
+from tests.sweep.opening import OpenStore, rows_on_disk, same
 from tests.sweep.outside import Outside, below, command_of, listening, wait_until, workers_below
 from tests.sweep.user import write_experiment, write_study
 from tests.tiers import PATIENCE_S, slow
@@ -180,7 +180,7 @@ def test_workers_without_the_folder_compute_with_its_helpers(tmp_path, sweep, ou
         pytest.skip("a file system of its own for a process needs root and unshare")
     outside.start_worker(before=[*hide, "sh"])
     out = sweep("run", "s.toml", "-o", "s.zarr", "--scheduler", outside.address, cwd=study, code=0)[1]
-    assert open_dataset(study / "s.zarr")["mean"].values.tolist() == [5.0, 10.0], out
+    assert OpenStore(study / "s.zarr").dataset()["mean"].values.tolist() == [5.0, 10.0], out
 
 
 @pytest.mark.parametrize("pool", POOLS)

@@ -19,7 +19,7 @@ from linksweep.sweep.running import progress
 from linksweep.sweep.running.progress import FIRST, FailureCount, MaxFailures
 from linksweep.sweep.running.run import TooManyFailuresError
 from linksweep.sweep.studies.reader import study_of_function
-from tests.sweep.opening import SERIAL, check, files_of, make_grid, open_dataset, run_study, status_report
+from tests.sweep.opening import SERIAL, OpenStore, check, files_of, make_grid, run_study, status_report
 from tests.tiers import PATIENCE_S, few, slow
 
 ENDS = [("False", (), 0), ("x == 2.0", (), 1), ("x == 2.0", ("--set", "n_sim=1500"), 1)]
@@ -80,7 +80,7 @@ def test_all_failed_points_are_counted_and_a_terminal_says_why(sweep, tmp_path):
     assert "finished: 1 of 401 points done, 400 failed" in words
     assert reasons.replace(";", "") in words
     assert "next: sweep run --retry s.zarr" in words
-    assert len(open_dataset(tmp_path / "s.zarr").attrs["failures"]) < 12_000
+    assert len(OpenStore(tmp_path / "s.zarr").attributes["failures"]) < 12_000
 
 
 def test_a_smaller_study_is_answered_while_another_process_holds_the_lock(tmp_path, coins):

@@ -78,7 +78,7 @@ def test_the_points_are_those_of_the_status(tmp_path_factory, xs, sims, tasks, f
         watched, report = look(store), status_report(store)
         counts = {code.word: n for code, n in watch.count_status(watched.status).items()}
         assert counts == report["points"]
-        if "n_sim_done" in (dataset := opening.open_dataset(store)):
+        if "n_sim_done" in (dataset := opening.OpenStore(store).dataset()):
             assert report["realisations_done"] == int(dataset["n_sim_done"].sum())
             assert counts["done"] == int((dataset["status"] == 1).sum())
         assert (watched.is_over, watched.state) == (True, "stopped" if counts["missing"] else "finished")

@@ -162,7 +162,8 @@ def test_who_opened_a_writing_reads_on_until_the_next_but_one_and_what_is_no_lon
         slowly = xr.open_zarr(path)
         write(store, turn(number, shape=shape))
         xr.testing.assert_identical(slowly.load().drop_attrs(), turn(number - 1, shape=shapes[number - 1]).drop_attrs())
-        xr.testing.assert_identical(opening.open_dataset(path).drop_attrs(), turn(number, shape=shape).drop_attrs())
+        there = opening.OpenStore(path).dataset()
+        xr.testing.assert_identical(there.drop_attrs(), turn(number, shape=shape).drop_attrs())
     files = [file for file in files_of(path) if "blocks" not in file]
     assert len(files) < 4 * 3 + 3  # a document and at most two sets of chunks each
     (path / "mine").mkdir()
