@@ -209,6 +209,8 @@ def test_a_value_between_points_and_the_place_of_a_value(seed, share, shared, sa
     assert found["width"].item() == pytest.approx(between(y), rel=1e-9)
     wanted = delta(between, y, spread) * np.sqrt(more)
     assert found["width_mc_error"].item() == pytest.approx(wanted, rel=1e-5, nan_ok=True)
+    nearest = linksweep.find(dataset, f"width < {0.5 * float(y[0])!r}", over="n")["nearest_error"].item()
+    assert nearest == pytest.approx(np.sqrt(spread[0, 0] * more), nan_ok=True)
     limit = float(np.exp(np.interp(share, [0.0, 1.0], np.log(y[[0, -1]]))))
 
     def place(values):
@@ -263,6 +265,7 @@ def test_a_ratio_of_two_points(seed, samples):
         assert found["ratio"].item() == pytest.approx(y[0] / y[-1], rel=1e-12)
         wanted = delta(lambda values: values[0] / values[-1], y, spread)
         assert found["ratio_error"].item() == pytest.approx(wanted, rel=1e-5)
+        assert linksweep.ratio(dataset, "width", "n", of=x[0], to=x[0])["ratio_error"].item() == 0.0
 
 
 @several

@@ -101,7 +101,7 @@ def test_a_count_must_be_equal_and_the_error_between_catalogues_adds_in_quadratu
     for value, error, catalogues, text, verdict, allowance in (
         *((28.0, None, None, "28", "reproduced", 0.0), (28.4, None, None, "28", "NOT reproduced", 0.0)),
         (28.9, 0.15, None, "28", "reproduced", 0.95),  # what has an error is no count
-        (28.4, None, "mas", "28", "reproduced", 0.5),  # nor what has a unit
+        *((28.4, None, "mas", "28", "reproduced", 0.5), (28.0, None, None, "3e1", "reproduced", 5.0)),  # nor a unit
         *((0.6, 0.003, 0.004, "0.60", "reproduced", 0.02), (0.6, 0.003, np.nan, "0.60", "reproduced", 0.014)),
     ):
         dataset = grid(value, error, published={(0, 0): text}, printed=WIDE)

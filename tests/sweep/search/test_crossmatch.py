@@ -22,6 +22,8 @@ MERGED = [
     # entries within 3" + 2" are one galaxy and share the identifier, unless a smaller radius is named
     ([([10.0, 50.0], 3.0, [0, 0]), ([50.0 + 4 / 3600, 90.0], 2.0, [7, 8])], None, [[0, 1], [1, 2]], [0, 7, 8]),
     ([([10.0, 50.0], 3.0, [0, 0]), ([50.0 + 4 / 3600, 90.0], 2.0, [7, 8])], 3.9, [[0, 1], [2, 3]], [0, 0, 7, 8]),
+    # an entry gives its identifier to the galaxy at its place, and others have it too
+    ([([10.0], 3.0, [0]), ([10.0 + 1 / 3600, 50.0], 3.0, [7, 7])], None, [[0], [0, 0]], [7]),
     # one without identifier links the third catalogue too
     ([([10.0], 1.0, [0]), ([10.0 + 1.5 / 3600], 1.0, [0]), ([10.0 + 3 / 3600], 1.0, [9])], None, [[0]] * 3, [9]),
 ]
@@ -144,7 +146,7 @@ def test_each_rule_of_the_classes_in_a_search():
     crowd = positions(np.array([50.0, 50.0, 50.0]), np.array([60.0, 90.0, -110.0]) / 3600.0, 0.1)
     second = positions([130.0], [4.0 / 3600.0], 0.1)
     stars = concatenated(positions(ra, np.zeros(5), 0.3), crowd, second)
-    galaxies = positions(ra, np.array([1.45, 0.0, 2.0, 0.0, 0.0]) / 3600.0, 0.4)
+    galaxies = positions(ra, np.array([1.45, 0.0, 2.0, 0.0, 0.0]) / 3600.0, 0.4)._replace(ra_error=np.full(5, ARCSEC))
     supplement = np.arange(len(stars.ra)) == 4
     matches = cross_match(stars, supplement, [catalogue(galaxies, 5.0)])
     assert matches["star"].tolist() == [0, 1, 2, 3, 4]

@@ -316,6 +316,7 @@ def test_powers_are_the_integrals_of_their_fields_over_the_sky(tmp_path, errors)
     sky = Objects(ra.ravel(), dec.ravel(), np.zeros(ra.size), np.zeros(ra.size), {})
     unknowns = parse_unknowns("spin,glide,vsh_motion:2-3")
     assert list(unknowns.labels) == list(link.unknown.values)
+    assert len(parse_unknowns("spin,vsh_motion:1-3")) == len(unknowns)  # without the glide it is a harmonic
     fields = unknowns.derivatives(sky, np.zeros(ra.size))[1][:, -2:]
     gram = np.einsum("kin,lin,n->kl", fields, fields, weights)
     names = np.array([str(label) for label in unknowns.labels])

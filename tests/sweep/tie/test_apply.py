@@ -271,11 +271,17 @@ def test_what_cannot_be_carried_is_refused_by_name(here):
             linksweep.apply(linksweep.tie(*both, **options), "satellite.ecsv")
     assert CliRunner().invoke(main, ["tie", *both, "-o", "tie.zarr"]).exit_code == 0
     gaia(here / "dr4.ecsv", stars(10, 1, epoch=2017.5))
+    bare = Table.read("satellite.ecsv")
+    bare.remove_column("ref_epoch")
+    bare.write("bare.ecsv")
+    said_epoch = ["tie", "bare.ecsv", str(both[1]), "--satellite-epoch", "2016", "-o", "said.zarr"]
+    assert CliRunner().invoke(main, said_epoch).exit_code == 0
     Table({"a": [1]}).write("other.ecsv")
     gaia("hip.ecsv", stars(10, 1), RArad=np.ones(10), UW=["1.00" * 15] * 10)
     before = sorted(path.name for path in here.iterdir())
     for arguments, said in (
         (("tie.zarr", "dr4.ecsv", "-o", "o.fits"), "epoch 2017.5 in row 1"),
+        (("said.zarr", "bare.ecsv", "-o", "o.fits", "--epoch", "2017.5"), "epoch 2017.5 in row 1"),
         (("satellite.ecsv", "satellite.ecsv", "-o", "o.fits"), "is no link of two tables"),
         (("tie.zarr", "satellite.ecsv", "-o", "dr4.ecsv"), "exists already"),
         (("tie.zarr", "other.ecsv", "-o", "o.fits"), "'ra'"),

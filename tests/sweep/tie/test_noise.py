@@ -118,6 +118,14 @@ def test_equal_errors_have_a_closed_form(tmp_path):
     np.testing.assert_allclose(link.error, plain.errors.sel(error_kind="formal"))
     beside = linksweep.tie(*pulsars, missions={"satellite-2": pulsars[1]}, jitter="satellite-2:all=estimate")
     assert beside.noise.values.tolist() == ["satellite-2:position:position"]
+    values = own.values + np.random.default_rng(4).normal(0.0, 0.5 * MAS, (5, 20))
+    hip, blocks = gaia(tmp_path / "hip.ecsv", replace(own, values=values)), "orientation,hip:orientation"
+    link = linksweep.tie(tables[0], tables[0], blocks, missions={"hip": hip}, jitter="hip:all=estimate")
+    np.testing.assert_allclose(link.noise_size[[0, 2]], 0.5, rtol=0.25)  # rows of the reference have none
+    of_hip = np.flatnonzero(link.row_table == "hip")
+    step, places = link.estimate.values[:3] - link.estimate.values[3:], own.values[:2, link.row_source_index[of_hip]]
+    moved = (link.difference - link.residual).values[of_hip, :2]
+    np.testing.assert_allclose(moved, [turned(*place) @ step for place in places.T], atol=1e-9)
 
 
 def drawn(seed, n, rows_each, kind, part=1.0, factor=3.0):
@@ -172,7 +180,7 @@ def test_rows_that_share_a_calibrator_share_its_error_also_in_draws(tmp_path, se
     assert any("row" in note and "is it in arcsec? Say --unit" in note for note in small.attrs["notes"])
     problem = set_up(tables.satellite, tables.reference, Options("orientation,spin", positions="mean")).problem
     expected = solve(source_sums(problem)).covariance
-    draws = Simulation(problem, np.zeros(6)).draws(600, np.random.default_rng(1))
+    draws = Simulation(problem, np.zeros(6), 0.5, 1.0, 2.0).draws(600, np.random.default_rng(1))
     found = np.array([solve(one.sums).estimate for one in draws])
     np.testing.assert_allclose(np.diag(np.cov(found.T)), np.diag(expected), rtol=0.25)
 
