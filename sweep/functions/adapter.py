@@ -421,8 +421,7 @@ class FunctionExperiment(Experiment):
         assert call is not None, "the record of an experiment computes nothing"
         if self.vectorised:  # the caller sends many points only to such functions
             arguments = inspect.signature(call).parameters  # points at a default may be beside others
-            names = set[str]().union(*points)
-            columns = {n: np.array([p.get(n, arguments[n].default) for p in points]) for n in names}
+            columns = {n: _column([p.get(n, arguments[n].default) for p in points]) for n in set[str]().union(*points)}
             return results.split_points(call(**columns), len(points), expected, "points")
         if not self.rng:
             return [results.flatten(call(**point), expected) for point in points]
@@ -502,6 +501,12 @@ class FunctionExperiment(Experiment):
         layout = None if self.layout is None else results.json_of_layout(self.layout)
         outputs = [asdict(replace(output, coords=None)) for output in self.declared]
         return {"function": {"rng": self.rng, "layout": layout, "outputs": outputs}}
+
+
+def _column(values: list[Any]) -> NDArray[Any]:
+    """Return values as an array: of objects where they are of several types, of which NumPy would make texts."""
+    kinds = {*map(type, values)}
+    return np.array(values, dtype=None if len(kinds) == 1 or kinds == {int, float} else object)
 
 
 def is_plain_function(value: object) -> TypeGuard[Callable[..., Any]]:

@@ -305,11 +305,10 @@ class Moments(Reducer):
         made = []
         for field in self.layout.fields:
             meaning = field.meaning or field.name.replace("_", " ")
-            plain = Output(field.name, field.unit, dims=field.dims, headline=field.name in headline, nan=True)
+            plain = Output(field.name, dims=field.dims, headline=field.name in headline, nan=True)
             for name in self.statistics[field.name]:
-                value = replace(plain, name=f"{field.name}_{name}", meaning=f"{_words(name)} of {meaning}")
-                if name == "count":
-                    value = replace(value, unit="")
+                unit = "" if name == "count" else field.unit
+                value = replace(plain, name=f"{field.name}_{name}", unit=unit, meaning=f"{_words(name)} of {meaning}")
                 made.append(value)
                 if name not in ("min", "max"):
                     error = f"one-sigma Monte-Carlo error of {value.name}"

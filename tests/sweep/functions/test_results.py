@@ -211,6 +211,12 @@ def test_a_vectorised_function_returns_a_value_for_each_point(returned, why, tmp
     assert {why in reason for reason in reasons.values()} == {True}
 
 
+def test_a_vectorised_function_gets_numbers_beside_texts_as_numbers(tmp_path):
+    f = experiment(vectorised=True)(lambda x: np.where(x == 1, 10.0, 20.0))
+    values = run(f, tmp_path / "s.zarr", axes={"x": [*"abcdefghij", 1]}, pool="serial").result.values.tolist()
+    assert values == [20.0] * 10 + [10.0]
+
+
 def test_a_tuple_has_the_declared_outputs_in_order(tmp_path):
     outputs = [Output("curve", dims=("time",), coords={"time": [0.0, 1.0]}), Output("peak")]
     check_refused({"short": ((1.0,), "a tuple of 1 values, expected one for")}, ([1.0, 2.0], 2.0), tmp_path, outputs)
