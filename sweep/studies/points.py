@@ -387,7 +387,11 @@ class Range:
         return [math.floor(x) for x in numbers] if self.whole else numbers
 
     def places(self, values: Array) -> Array:
-        """Return the places of numbers in the unit interval; for integers the middle of their part."""
+        """Return the places of numbers in the unit interval; for integers the middle of their part.
+
+        >>> Range("k", 1, 4, whole=True).places(np.array([1, 4])).tolist()
+        [0.125, 0.875]
+        """
         numbers = values.astype(float) + (0.5 if self.whole else 0.0)
         top = self.high + self.whole
         if self.log:

@@ -130,9 +130,10 @@ def test_only_points_with_wrong_results_fail_among_many_and_again(tmp_path, swee
     assert linksweep.open(tmp_path / "s.zarr")["mean"].values[[0, 1, 3]].tolist() == [-0.125, -0.25, 0.25]
 
 
-def test_nan_is_a_value_where_it_is_declared(tmp_path):
+def test_nan_is_a_value_where_it_is_declared_and_a_warning_says_of_how_many_points_it_is(tmp_path):
     declared = {"outputs": (Output("mean", "", "mean", nan=True),), "nan_sums": ("total",)}
-    assert run(tmp_path / "s.zarr", evaluate=of(math.nan), **declared)["status"].values.tolist() == [1, 1]
+    dataset = run(tmp_path / "s.zarr", evaluate=of(math.nan), warn=lambda point: ["careful"], **declared)
+    assert (dataset["status"].values.tolist(), dataset.attrs["warnings"]) == ([1, 1], '["careful (2 points)"]')
 
 
 def test_samples_are_held_to_what_is_declared(tmp_path):

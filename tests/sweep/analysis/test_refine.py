@@ -10,7 +10,7 @@ from hypothesis import given, settings as examples_of, strategies as st
 
 import linksweep
 from linksweep.sweep.contract import SweepError
-from tests.sweep.opening import Stopping, bare, files_of
+from tests.sweep.opening import Stopping, bare, files_of, merge
 from tests.tiers import examples, few, slow
 
 pytestmark = pytest.mark.usefixtures("here")
@@ -136,7 +136,10 @@ def test_a_point_that_is_not_decided_gets_realisations_or_the_answer_says_so(axi
         return {"y": -0.0071 - abs(x - 0.425) + 0.1 * rng.normal()}
 
     goal = {"find": "y_mean > 0", "within": 0.01, "max_realisations": most, "pool": "serial"}
-    ds = linksweep.refine(peak, axes={"x": axis}, sampling={"n_sim": 100, "seed": 3}, **goal)
+    study = {"store": "p.zarr", "axes": {"x": axis}, "sampling": {"n_sim": 100, "seed": 3}}
+    ds = linksweep.refine(peak, **study, **goal)
+    linksweep.run(peak, **study, pool="serial")  # the study as it was takes no realisations from the store
+    assert linksweep.open("p.zarr").n_sim_done.equals(ds.n_sim_done)
     is_decided = (abs(ds.y_mean) > 3.0 * ds.y_mean_mc_error).all()
     words = linksweep.find(ds, "y_mean > 0", "x")["conclusion"].item()
     assert (is_decided, words.startswith("never"), "not decided" in words) == (most > 300, True, most == 300)
@@ -151,6 +154,10 @@ def test_points_whose_errors_are_not_known_get_realisations_and_no_neighbours():
     goal = {"axes": {"x": [0.0, 0.6, 2.0]}, "sampling": {"n_sim": 200, "seed": 1}, "pool": "serial"}
     ds = linksweep.refine(high, "q.zarr", find="y_q99 > 3", within=0.001, max_realisations=2000, **goal)
     assert (rounds(ds)[0]["points"], ds["y_q99_mc_error"].sel(x=0.6).notnull()) == ([], True)
+    linksweep.refine(high, "l.zarr", find="y_q99 > 3", within=0.001, max_realisations=1000, **goal)
+    linksweep.run(high, "q.zarr", **goal)
+    shown = [linksweep.open("q.zarr"), merge(["l.zarr", "q.zarr"], "lq.zarr"), merge(["q.zarr", "l.zarr"], "ql.zarr")]
+    assert all(one.n_sim_done.equals(ds.n_sim_done) for one in shown)  # nobody takes realisations from it
     more = goal | {"sampling": {"n_sim": 3000, "seed": 1}}  # than that point has got
     assert (linksweep.run(high, "q.zarr", **more).n_sim_done == 3000).all()
     with pytest.raises(SweepError, match="y_max has no Monte-Carlo error"):

@@ -49,6 +49,8 @@ USELESS = [
     ({"axes": {"coins": [2, 4]}, "fixed": {"chance": 0.7, "metal": "tin"}}, "(?s)chance = 0.7.*metal = 'tin'"),
     ({"axes": {"chance": [0.5, 0.6, 0.7]}}, r"axis chance changes nothing at some points: even numbers are fair \(2"),
     (BOTH, r"axis chance changes nothing.*\(1 point\)"),
+    ({"fixed": {"coins": 3}}, "'chanse'", lambda p: {"chanse": ""}),
+    ({"fixed": {"coins": 3}}, "ZeroDiv", lambda p: 1 / 0),
 ]
 
 
@@ -315,10 +317,11 @@ def grid_of(study, unused=even_are_fair):
     return plan_of(study, replace(ONE.experiment, unused=unused)).grid
 
 
-@pytest.mark.parametrize(("study", "named"), USELESS)
-def test_what_changes_nothing_is_refused_by_name(study, named):
+@pytest.mark.parametrize("useless", USELESS)
+def test_what_changes_nothing_or_cannot_be_understood_of_it_is_refused_by_name(useless):
+    study, named, *unused = useless
     with pytest.raises(SweepError, match=named):
-        grid_of(study)
+        grid_of(study, *unused)
 
 
 def test_what_matters_at_some_point_is_taken():
@@ -335,9 +338,3 @@ def test_a_large_grid_asks_as_often_as_the_answer_can_differ(when):
     chances = {"start": 0.2, "stop": 0.8, "step": 0.0003}
     grid_of({"axes": {"coins": [3, 5], "chance": chances}, "when": when}, lambda p: asked.append(p) or even_are_fair(p))
     assert len(asked) < 10
-
-
-@pytest.mark.parametrize(("unused", "words"), [(lambda p: {"chanse": ""}, "'chanse'"), (lambda p: 1 / 0, "ZeroDiv")])
-def test_what_cannot_be_understood_of_it_is_a_sentence(unused, words):
-    with pytest.raises(SweepError, match=words):
-        grid_of({"fixed": {"coins": 3}}, unused)

@@ -35,17 +35,14 @@ USES = [  # a value of a module, another one, and what a function does with it
 ]
 EQUAL = [("[[0] * 3] * 3", "[[0] * 3 for _ in range(3)]"), ("[np.zeros(2)] * 2", "[np.zeros(2), np.zeros(2)]")]
 EQUAL += [("np.array([[0.0, 1.0], [2.0, 3.0]])", "np.array([[0.0, 2.0], [1.0, 3.0]]).T")]
+EQUAL += [("np.zeros((2, 3))", "np.zeros((3, 2))")]
 # What a function makes of equal values is not equal; where code may name anything the module counts as a whole.
 COUNTED = [*((IMPORTS[0], *pair, "copy.deepcopy(V)") for pair in EQUAL), ("import m", "3", "4", "getattr(m, 'V')")]
 COUNTED += [(statement, *use) for use in USES for statement in IMPORTS]
 COUNTED += [("from m import *", "3", "4", body) for body in ("eval('V')", "s.modules.get(__name__).V")]
 COUNTED = few(2, [COUNTED[2], *COUNTED[3:], *COUNTED[:2]])
-LATE = """
-import helper
-def total(points, n_sim):
-    from late import PLUS
-    return {"total": [n_sim * (helper.FACTOR * p["rate"] + PLUS) for p in points]}
-"""
+LATE = "import helper\ndef total(points, n_sim):\n    from late import PLUS\n"
+LATE += '    return {"total": [n_sim * (helper.FACTOR * p["rate"] + PLUS) for p in points]}\n'
 H = """
 class B:
     n = 0
@@ -55,10 +52,12 @@ class B:
 class B2: z = 1.0
 class C(B): k = 1.0
 c, K, ALL = C(), 1.0, {"a": max}
-def f(x: float): return x * K * c.k * C.k + len(ALL) + ALL["a"]([0.0]) * 0 + getattr(c, "z", 0.0) + c.first
+def g(x, *, s=1.0): return s * x
+def f(x: float): return g(x) * K * c.k * C.k + len(ALL) + ALL["a"]([0.0]) * 0 + getattr(c, "z", 0.0) + c.first
 """
 NAMED = {"h.K = 4.0": "value h.K", "h.c.k = 4.0": "value h.c", "h.C.k = 4.0": "value h.C.k ("}
-NAMED |= {"h.ALL['a'] = sum": "value h.ALL", "h.C.__bases__ = (h.B2,)": "class h.C"}
+NAMED |= {"h.g.__kwdefaults__['s'] = 2.0": "h.g", "h.ALL['a'] = sum": "value h.ALL"}
+NAMED |= {"h.C.__bases__ = (h.B2,)": "class h.C"}
 DECLARED = """
 import threading, linksweep
 from pathlib import Path
@@ -263,11 +262,12 @@ def test_attributes_count_as_they_are_when_the_run_starts(tmp_path, monkeypatch,
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.delitem(sys.modules, "h", raising=False)
     h = importlib.import_module("h")
-    run = functools.partial(linksweep.run, h.f, tmp_path / "s.zarr", axes={"x": [1.0]}, pool="serial")
-    assert [run().f.values.tolist() for _ in range(2)] == [[2.0]] * 2  # what it changes itself is no other code
+    run = functools.partial(linksweep.run, store=tmp_path / "s.zarr", axes={"x": [1.0]}, pool="serial")
+    assert [run(f).f.values.tolist() for f in (h.f, "h:f")] == [[2.0]] * 2  # what it changes itself is no other code
     exec(change, {"h": h})
-    with pytest.raises(linksweep.SweepError, match=rf"(?s)was made by other code.*{re.escape(named)}"):
-        run()
+    for f in ("h:f", h.f):
+        with pytest.raises(linksweep.SweepError, match=rf"(?s)was made by other code.*{re.escape(named)}"):
+            run(f)
 
 
 @pytest.mark.parametrize(("statement", "value", "other", "body"), COUNTED)
@@ -338,6 +338,14 @@ def test_what_has_no_canonical_form_is_named_once_and_declared_files_count(tmp_p
     (tmp_path / "k.csv").write_text("4")
     code, _, err = sweep("run", "m.py:f", "--axis", "x=1,2,3", "-o", "s.zarr", cwd=tmp_path)
     assert (code, "file k.csv has changed" in err) == (2, True)
+
+
+def test_the_version_of_a_declared_package_counts(tmp_path, monkeypatch):
+    run = functools.partial(linksweep.run, linksweep.experiment(packages="pip")(lambda x: x), tmp_path / "s")
+    run(axes={"x": [1.0]}, pool="serial")
+    monkeypatch.setattr("linksweep.sweep.code.version_of", lambda name: "9.9")
+    with pytest.raises(linksweep.SweepError, match=r"package pip is .* in the store, 9\.9 now"):
+        run(axes={"x": [1.0, 2.0]}, pool="serial")
 
 
 @pytest.mark.parametrize("then", [1, 100])

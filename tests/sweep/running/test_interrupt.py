@@ -22,12 +22,8 @@ from tests.sweep.outside import below, command_of, wait_until
 from tests.tiers import PATIENCE_S, slow
 
 ENDLESS_S = 3600.0  # longer than a test may take: what waits for it fails
-SLEEP = """
-import os, time
-def f(sheep: int, *, rng, n_sim):
-    time.sleep(float(os.environ["SECONDS"]))
-    return rng.normal(size=n_sim)
-"""
+SLEEP = 'import os, time\ndef f(sheep: int, *, rng, n_sim):\n    time.sleep(float(os.environ["SECONDS"]))\n'
+SLEEP += "    return rng.normal(size=n_sim)\n"
 KILLS, LONGEST_S = 20, 4.0  # of starting and work together: a whole run takes a little longer on an idle machine
 WAYS = {signal.SIGKILL: 3, signal.SIGINT: 1, signal.SIGTERM: 1}  # how often each is drawn
 POOLS = {("--pool", "serial"): 3, ("--workers", "2"): 1, ("--pool", "threads", "--workers", "2"): 1}

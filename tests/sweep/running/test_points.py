@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 import xarray as xr
 from astropy.table import Table
-from hypothesis import given, settings, strategies as st
+from hypothesis import example, given, settings, strategies as st
 
 import linksweep
 from tests.sweep.opening import POINT, POINT_TABLE, OpenStore, merge, same
@@ -19,12 +19,8 @@ LINK = {"experiment": "linksweep.core.experiment:link", "sampling": {"n_sim": 60
 STARS = {"x": [1.0, 2.0, 2.0], "star": ["Sirius", None, "Vega"], "hd": [48915, 2**62, 172167]}
 CELLS = st.one_of(st.none(), st.text("ab", max_size=2), st.integers(0, 3), st.floats(0, 2))
 TABLES = st.lists(st.tuples(st.sampled_from([1.0, 2.0, 3.0]), CELLS), min_size=1, max_size=5)
-FILE = """
-def model(x: float = 1.0, k: int = 1):
-    if k == 3:
-        raise ValueError("three")
-    return {"y": x * k}
-"""
+FILE = 'def model(x: float = 1.0, k: int = 1):\n    if k == 3:\n        raise ValueError("three")\n'
+FILE += '    return {"y": x * k}\n'
 
 
 def run(study, store, points=None, labels=None, **given):
@@ -51,9 +47,10 @@ def test_repeated_rows_are_computed_once_and_stand_in_the_table_as_often(tmp_pat
     assert (ds.attrs["points"], ds.attrs["points_done"], ds.attrs["complete"]) == (10, 10, 1)
     assert np.all(ds.status == 1)
     assert xr.open_zarr(tmp_path / "s.zarr").load().y.values.tolist() == expected
-    more = {"axes": {"k": [1, 2], "g": [2.0, 3.0]}, "when": {"g": {"k": [2]}}}
-    ds = run(lambda x, k, g=0.5: x + g, tmp_path / "w", points={"x": [1.0, 1.0]}, **more)
-    assert sorted(ds.result.values[ds.status == 1].tolist()) == [1.5, 1.5, 3.0, 3.0, 4.0, 4.0]
+    more = {"axes": {"k": [1, 2], "g": [2.0, 3.0], "h": [0.0, 1.0]}}
+    more["when"] = {"g": {"k": [2]}, "c": {"k": [2]}, "h": {"c": [5]}}  # h has no effect where c has none
+    ds = run(lambda x, k, c=5, g=0.5, h=0.25: x + g + h, tmp_path / "w", points={"x": [1.0, 1.0]}, **more)
+    assert sorted(ds.result.values[ds.status == 1].tolist()) == [1.75, 1.75, 3.0, 3.0, 4.0, 4.0, 4.0, 4.0, 5.0, 5.0]
 
 
 def test_a_table_grows_at_its_end_and_is_refused_where_old_rows_change(tmp_path, monkeypatch):
@@ -195,6 +192,7 @@ def test_what_is_no_label_is_refused_by_name(tmp_path):
 
 @settings(max_examples=examples(12, quick=2))
 @given(table=TABLES, first=st.integers(1, 4), number=st.integers(1, 3))
+@example(table=[(1.0, 2**53 + 1), (2.0, 0.5)], first=1, number=1)
 def test_rows_of_any_labels_grow_are_corrected_and_come_together_from_parts(tmp_path_factory, table, first, number):
     folder = tmp_path_factory.mktemp("labels")
     columns = {"x": [x for x, _ in table], "label": [label for _, label in table]}
@@ -202,7 +200,7 @@ def test_rows_of_any_labels_grow_are_corrected_and_come_together_from_parts(tmp_
     expected = ["" if cell is None else str(cell) for cell in columns["label"]]
     texts = whole.label.dtype.kind not in "if"
     got = whole.label.values.tolist()
-    assert got == expected if texts else [float(cell) for cell in expected if cell] == [c for c in got if c == c]  # noqa: PLR0124
+    assert got == expected if texts else [c for c in columns["label"] if c is not None] == [c for c in got if c == c]  # noqa: PLR0124
     for rows in ({"x": columns["x"][:first], "label": ["another"] * len(table[:first])}, columns):
         run(noisy, folder / "grown.zarr", rows, "label")
     for k in range(1, number + 1):

@@ -20,12 +20,8 @@ from tests.sweep import opening
 from tests.sweep.opening import OFTEN, Progress, Stopping, files_of, located, parts_of, run, status_report
 from tests.tiers import PATIENCE_S, examples, slow
 
-CODE = """
-def f(x: float, y: int = 0, rng=None):
-    if x == 2.0:
-        raise ValueError(f"no root at {x}")
-    return rng.normal(x)
-"""
+CODE = 'def f(x: float, y: int = 0, rng=None):\n    if x == 2.0:\n        raise ValueError(f"no root at {x}")\n'
+CODE += "    return rng.normal(x)\n"
 XS = st.lists(st.sampled_from([0.0, 1.0, 2.0, 3.0]), min_size=1, unique=True)
 SIMS, FLAGS = st.lists(st.integers(1, 700), min_size=1, max_size=2).map(sorted), st.tuples(*[st.booleans()] * 3)
 START_S = 7.0  # until workers are there: not work, and not extrapolated
@@ -36,14 +32,8 @@ KINDS = {  # from a random generator and the place in the grid: cost and seconds
     "shrinking": lambda chance, place: KINDS["growing"](chance, 1.0 - place),
 }
 KINDS["scattered"] = lambda chance, _: (cost := chance.lognormvariate(0.0, 0.7), cost * chance.lognormvariate(0.0, 0.3))
-SLOW = """
-import time
-def f(x: float):
-    time.sleep(0.05)
-    if x == 7.0:
-        raise ValueError("\\x1b[31m[bold]no root[/bold]")
-    return x
-"""
+SLOW = "import time\ndef f(x: float):\n    time.sleep(0.05)\n    if x == 7.0:\n"
+SLOW += '        raise ValueError("\\x1b[31m[bold]no root[/bold]")\n    return x\n'
 
 
 def g(a=0, b=0, c=0, d=0):

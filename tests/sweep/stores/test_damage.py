@@ -215,7 +215,7 @@ def is_told(store, differing, wanted, sweep):
     assert "zarr.json" in differing or all(any(file in told for file in differing) for told in problems)
 
 
-def test_files_of_a_store_that_was_begun_anew_do_not_count(tmp_path):
+def test_files_of_a_store_that_was_begun_anew_or_has_another_history_do_not_count(tmp_path):
     (tmp_path / "model.py").write_text(MODEL)
     model, store = f"{tmp_path}/model.py:model", tmp_path / "s.zarr"
     for last in (1, 2, 4):
@@ -227,6 +227,13 @@ def test_files_of_a_store_that_was_begun_anew_do_not_count(tmp_path):
         if old.get(key) not in (None, new[key]):
             restored(store, new | {key: old[key]})
             assert named(check(store)) == {key}
+    restored(store, new)
+    other = shutil.copytree(store, tmp_path / "other")
+    for place, k in ((store, 4), (other, 5)):
+        linksweep.run(model, place, axes={"k": [2, 3, k]}, pool="serial")
+    shutil.rmtree(store / "blocks")
+    shutil.copytree(other / "blocks", store / "blocks")
+    assert "of another writing" in check(store).ledger["blocks/zarr.json"]
 
 
 @pytest.mark.parametrize("step", [137, slow(37)])

@@ -26,17 +26,14 @@ COMMANDS = (  # without the store, which stands behind the first word
     *("run --retry", "reproduce --at k=1", "find --where y>0 --over k", "fit --over k"),
 )
 ODD, PAGE, MERGED = (os.fsdecode(name) for name in (b"s\xff.zarr", b"r\xff.html", b"m\xff.zarr"))
-HOLD = """
-import sys, time
-from linksweep.sweep.stores.location import locked
-with locked(sys.argv[1]):
-    print("held", flush=True)
-    time.sleep(3600)
-"""
+HOLD = "import sys, time\nfrom linksweep.sweep.stores.location import locked\nwith locked(sys.argv[1]):\n"
+HOLD += '    print("held", flush=True)\n    time.sleep(3600)\n'
 
 
-def test_only_one_of_many_creates_or_swaps_a_file(place):
+@pytest.mark.parametrize("links", [True, False])
+def test_only_one_of_many_creates_or_swaps_a_file(place, links, monkeypatch):
     location = located(place)
+    monkeypatch.setattr(os, "link", os.link if links else Mock(side_effect=OSError(errno.EPERM, "no links")))
     with ThreadPoolExecutor(8) as pool:
         made = list(pool.map(lambda i: location.create("lock", bytes([i])), range(24)))
         assert (sum(made), location.get("lock")) == (1, bytes([made.index(True)]))
@@ -222,7 +219,8 @@ def test_who_has_it_is_told_until_that_process_is_killed(place, start_sweep, mon
         without_flock(monkeypatch, number)
     process = start_sweep(command=[sys.executable, "-c", HOLD, place])
     assert process.stdout.readline() == "held\n", process.communicate()[1]
-    assert holder(place).pid == process.pid
+    first = holder(place)
+    assert first.pid == process.pid
     for break_lock in (False, True):  # never broken while its holder is known to run
         with pytest.raises(SweepError, match=rf"is being written by process {process.pid} on .*, since 20.*") as told:
             can_be_taken(place, break_lock=break_lock)
@@ -235,7 +233,7 @@ def test_who_has_it_is_told_until_that_process_is_killed(place, start_sweep, mon
     assert holder(place) is None
     process.wait()
     assert can_be_taken(place)
-    held_by(place, pid=os.getpid(), started="1")  # a later process has that number
+    held_by(place, pid=os.getpid(), started=first.started)  # another process has that number
     assert holder(place) is None
     assert can_be_taken(place)
     assert located(place).parent.keys() == []

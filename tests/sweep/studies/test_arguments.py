@@ -48,6 +48,8 @@ def test_options_that_go_together():
     options = {"design": "sobol:8", "ranges": ["error_scale=1:2"]}
     assert load_study("quasars", ["points.seed=4"], **options).points.origin["seed"] == 4
     assert load_study("quasars", axes=["""model="amex",'gaia'"""]).axes["model"] == ("amex", "gaia")
+    changes = ({"settings": ["n_sim=10"]}, {"exclude": ["model=gaia"]}, {"settings": ["epsilon=[0,0,0]"]})
+    assert [load_study("quasars", **one).conclusion is None for one in changes] == [False, True, True]
 
 
 @given(st.text(max_size=40))
@@ -90,6 +92,7 @@ def test_ranges_are_those_of_numpy_and_begin_and_end_where_it_is_written(low, ti
         assert values == pytest.approx(expected, rel=1e-14)
         assert [values[0], values[-1]] == [low, high]
     assert (axis("n=7:1234567890123:log2"), axis("a=1:1000:log4")) == ([7, 1234567890123], [1.0, 10.0, 100.0, 1000.0])
+    assert axis("a=0:1:0.3333333333")[-1] == 1.0
 
 
 @given(st.lists(st.tuples(bounds, st.integers(0, 4)), min_size=1, max_size=2))

@@ -18,7 +18,7 @@ from hypothesis import given, settings, strategies as st
 from pyarrow import parquet
 
 from linksweep import SweepError
-from linksweep.sweep.tables.columns import Columns, rows_where
+from linksweep.sweep.tables.columns import Columns, conditions, rows_where, table_file
 from linksweep.sweep.tables.reader import read_row_group, read_table, row_groups
 from tests.tiers import examples
 
@@ -92,7 +92,7 @@ COMPARISONS = st.one_of(
 JOINED = [(2, "({}) & ({})"), (2, "{} | {}"), (2, "{} and {}"), (1, "~({})"), (1, "not ({})")]
 MISSING = [("ruwe >= 1.4", [1, 2]), ("ruwe != 1.4", [0, 2]), ("~(ruwe < 1.4)", [1, 2, 3]), ("ruwe == ruwe", [0, 1, 2])]
 MISSING += [("~duplicated_source & ~good", [1, 3]), ("name in ['A', 'C']", [0, 2]), ("`B-V` < 0.6 & `lambda` > 1", [2])]
-MISSING += [("name == 'A & B' | g > 14.5", [3])]
+MISSING += [("name == 'A & B' | g > 14.5", [3]), ("`B-V` != 0.5", [0, 3]), ("0.5 < ruwe", [0, 1, 2])]
 REFUSED = [("ruwee < 1.4", "no column 'ruwee'; did you mean 'ruwe'"), ("ruwe < ", "at the end"), ("", "where")]
 REFUSED += [("ruwe < 1.4 & (g < 13", r"at '\(g < 13'"), ("ruwe.real < 1", "not allowed")]
 REFUSED += [("__import__('os').system('true')", "not allowed"), ("ruwe", "numbers without a comparison")]
@@ -182,6 +182,9 @@ def test_hipparcos_2_with_its_readme(tmp_path):
         table = read_table(written(tmp_path, name, content))
         assert (table["HIP"].tolist(), table["pmRA"].tolist()) == ([1, 2], [-4.55, 179.7])
         np.testing.assert_allclose(Columns(table).quantity("dec"), dec, rtol=1e-14)
+    digest = table_file(tmp_path / "hip2.dat").digest
+    written(tmp_path, "ReadMe", f"{HIP2}\n")
+    assert table_file(tmp_path / "hip2.dat").digest != digest  # which says what the numbers mean
     with pytest.raises(SweepError, match="a table of CDS needs its ReadMe"):
         read_table(written(tmp_path, "tyc2.dat", HIP2_ROWS))
 
@@ -200,28 +203,15 @@ def test_floats_are_read_to_the_last_bit_and_ecsv_is_what_astropy_reads(tmp_path
     assert (found["ra"].unit, found["ra"].description, found.meta["by"]) == (u.deg, "right", "hand")
 
 
-GAIA = """\
-# %ECSV 1.0
-# ---
-# delimiter: ','
-# datatype:
-# - {name: ra, unit: deg, datatype: float64}
-# - {name: n, datatype: int16}
-ra,n
-1.5,null
-null,3
-"""
+GAIA = "# %ECSV 1.0\n# ---\n# delimiter: ','\n# datatype:\n# - {name: ra, unit: deg, datatype: float64}\n"
+GAIA += "# - {name: n, datatype: int16}\nra,n\n1.5,null\nnull,3\n"
 BIG = 4295806720123456789, 4295806720123456787
+GAPS = [(f"source_id,ra\n{BIG[0]},1.0\n,2.0\n{BIG[1]},\n", {"source_id": [BIG[0], None, BIG[1]], "ra": [1, 2, None]})]
+GAPS += [("ra,ok,ok,n\n1,t,t,\n2,,,3\n", {"ra": [1, 2], "ok": ["t", None], "n": [None, 3]})]  # one is there twice
+GAPS += [(GAIA, {"ra": [1.5, None], "n": [None, 3]})]
 
 
-@pytest.mark.parametrize(
-    ("text", "columns"),
-    [
-        (f"source_id,ra\n{BIG[0]},1.0\n,2.0\n{BIG[1]},\n", {"source_id": [BIG[0], None, BIG[1]], "ra": [1, 2, None]}),
-        ("ra,ok,ok,n\n1,t,t,\n2,,,3\n", {"ra": [1, 2], "ok": ["t", None], "n": [None, 3]}),  # one is there twice
-        (GAIA, {"ra": [1.5, None], "n": [None, 3]}),
-    ],
-)
+@pytest.mark.parametrize(("text", "columns"), GAPS)
 def test_gaps_are_kept_and_large_identifiers_beside_them(text, columns, tmp_path):
     found = read_table(written(tmp_path, "GaiaSource.csv.gz", gzip.compress(text.encode())))
     assert {name: found[name].tolist() for name in found.colnames} == columns
@@ -363,3 +353,5 @@ def stars():
 @pytest.mark.parametrize(("condition", "rows"), MISSING)
 def test_missing_values_truth_values_and_quoted_names(condition, rows):
     assert np.flatnonzero(rows_where(stars(), condition)).tolist() == rows
+    several = conditions([f"g < 12.5 | {condition}", "g > 12.5"], (), ["stars"])["stars"]
+    assert np.flatnonzero(rows_where(stars(), several)).tolist() == [row for row in rows if row]
