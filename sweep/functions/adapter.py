@@ -504,9 +504,9 @@ class FunctionExperiment(Experiment):
 
 
 def _column(values: list[Any]) -> NDArray[Any]:
-    """Return values as an array: of objects where they are of several types, of which NumPy would make texts."""
-    kinds = {*map(type, values)}
-    return np.array(values, dtype=None if len(kinds) == 1 or kinds == {int, float} else object)
+    """Return values as an array: of objects where they have units, or several types, of which NumPy makes texts."""
+    alike = len(kinds := {*map(type, values)}) == 1 or kinds == {int, float}
+    return np.array(values) if alike and not results.unit_of(values[0]) else np.fromiter(values, object, len(values))
 
 
 def is_plain_function(value: object) -> TypeGuard[Callable[..., Any]]:
