@@ -24,7 +24,7 @@ import linksweep
 from linksweep.sweep import cli
 from linksweep.sweep.cli import FILE, JSON, POSITIVE, WORKERS, arg, choice, flag, many, opt, parsed, passed
 from linksweep.sweep.executing.pools import DEFAULT_POOL, POOLS, PoolName, Resources
-from linksweep.sweep.formatting import COMMAND, counted, harmless, in_words, to_json, typed
+from linksweep.sweep.formatting import COMMAND, counted, harmless, in_words, meaning_beside, to_json, typed
 from linksweep.sweep.interrupt import RunInterruptedError
 from linksweep.sweep.search.options import SearchOptions
 from linksweep.sweep.tables.options import Declared, declared
@@ -717,8 +717,8 @@ def params(
         default = f"default: {row['default']}" if row["default"] is not None else "required" if row["required"] else ""
         unit = f" [{row['unit']}]" if row["unit"] else ""
         cli.put(f"{row['name']}{unit}  {default}".rstrip())
-        meaning = "" if row["meaning"] == row["name"] else f"{row['meaning']}; "
-        cli.print_wrapped(f"{meaning}{row['allowed']}", "    ", "    ")
+        meaning = meaning_beside(row["name"], {"long_name": row["meaning"]})
+        cli.print_wrapped("; ".join(filter(None, [meaning, row["allowed"]])), "    ", "    ")
 
 
 # How the command calls options whose names do not say what it does with them.

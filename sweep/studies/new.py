@@ -56,8 +56,8 @@ def new_study(title: str, reference: str, experiment: Experiment) -> str:
                 lines.append(f"{'# ' if entry.examples else ''}{value}  # {words}")
     lines += ["", "[fixed]  # any other parameter; these are the defaults"]
     for parameter in (one for one in experiment.parameters if one.name != name):
-        words = " ".join(f"# {parameter.meaning}; {parameter.allowed()}".split())
-        lines += ["", "".join(c for c in words if c.isprintable())]
+        words = " ".join("; ".join(filter(None, [parameter.meaning, parameter.allowed()])).split())
+        lines += ["", "".join(c for c in f"# {words}" if c.isprintable())]
         if parameter.required:
             lines.append(f"{parameter.name} = {_toml(_example(parameter))}  # has no default")
         else:

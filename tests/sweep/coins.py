@@ -15,7 +15,7 @@ def summary(sums, n, n_cat):
 
 PARAMETERS = (
     Parameter("coins", "int", 10, "coins in one toss", minimum=1),
-    Parameter("chance", "float", 0.5, "mean chance of heads", minimum=0.2, maximum=0.8),
+    Parameter("chance", "float", 0.5, minimum=0.2, maximum=0.8),
     Parameter("metal", "str", "gold", "what it is made of", choices=("gold", "tin")),
 )
 OUTPUTS, SUMS = (Output("share", "", "share of heads", headline=True),), {"heads": (), "tosses": ()}

@@ -162,6 +162,7 @@ def test_every_study_of_ours_conforms_to_the_schema_which_has_the_parameters_of_
             link_validator.validate(document)
     assert validator(COINS).schema["properties"]["fixed"]["properties"]["metal"]["enum"] == ["gold", "tin"]
     assert run_sweep("params", "--schema", "no.such:thing")[:2] == (2, "")
+    assert run_sweep("params", COINS)[1].splitlines()[3] == "    a finite number >= 0.2 and <= 0.8"
 
 
 @pytest.mark.parametrize("wrong", WRONG, ids=json.dumps)
