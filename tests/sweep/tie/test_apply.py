@@ -257,6 +257,8 @@ def test_motions_without_errors_are_turned_and_half_a_motion_is_refused(tmp_path
 def test_what_the_link_lacks_stays_and_is_said(tmp_path, has, lacks):
     link, own = linked(tmp_path, EPSILON, OMEGA, unknowns=has), gaia(tmp_path / "own.ecsv", stars(10, 4))
     moved, zero = linksweep.apply(link, own), np.zeros(3)
+    shared = linksweep.apply(link, gaia(tmp_path / "shared.ecsv", stars(10, 4), calibrator="J1", calibrator_error=0.5))
+    np.testing.assert_allclose(shared["ra_error"], moved["ra_error"])  # that of the calibrator has its own column
     whole = linked(tmp_path, *((EPSILON, zero) if lacks == "spin" else (zero, OMEGA)))
     np.testing.assert_allclose(values_of(moved), values_of(linksweep.apply(whole, own)), atol=1e-20)
     assert all(words in " ".join(moved.meta["comments"]) for words in (f"the link has no {lacks}", "correlated"))

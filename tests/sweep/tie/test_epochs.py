@@ -70,7 +70,7 @@ def drawn(seed, models, n_transits=24, bend=1.0, excess=0.0, ccds=9):
         of_star |= dict(zip(("ra0", "dec0"), seen[:2, s] / DEGREE, strict=True))
         arrays = dict(zip(ARRAYS, (times.astype(np.int64), angles, w, error, used), strict=True))
         of_star = {name: np.full(n_transits, one) for name, one in of_star.items()}
-        parts.append(Table({"transit_id": np.arange(n_transits) + 1000 * s} | of_star | of_transits | arrays))
+        parts.append(Table({"transit_id": np.arange(n_transits)} | of_star | of_transits | arrays))
         for some, one in ((designs, design[:, used].T), (values, w[used]), (errors, size[used])):
             some.append(one)
         fitted.append(fit(designs[-1][:, [0, 1, 2, 3, 4, 10]], values[-1], errors[-1]))
@@ -177,6 +177,7 @@ def orbits(folder, names, campbell=False):
     table = Table({"source_id": np.asarray(names, dtype=np.int64)})
     table["period"], table["eccentricity"], table["ref_epoch"] = ORBIT[0] * 365.25, ORBIT[1], EPOCH - 1.5 * campbell
     table["t_periastron"] = (ORBIT[2] + EPOCH - table["ref_epoch"]) * 365.25
+    table["t_periastron"] += 0.0 if campbell else 51544.5 + 365.25 * (EPOCH - 2000.0)  # as a Julian date
     if campbell:
         table["ref_epoch"] = 2451545.0 + 365.25 * (table["ref_epoch"] - 2000.0)
         for name, angle in (("nodeangle", NODE), ("inclination", INCLINATION), ("arg_periastron", PERIASTRON)):

@@ -88,9 +88,10 @@ def test_results_of_draws_are_those_of_the_samples():
     np.testing.assert_allclose(found["coverage_scaled"][:3], 1.0 - 2.0 * stats.t.sf(1.0, 15), atol=0.08)
 
 
-def test_a_clip_takes_outliers_out_of_the_draws():
+@pytest.mark.parametrize("clip", ["median:5", "rayleigh"])
+def test_a_clip_takes_outliers_out_of_the_draws(clip):
     at = point("pulsar-forecast", n_new=40, outliers=0.1, outlier_factor=30.0)
-    without, clip = results(at, 100), results(at | {"clip": "median:5"}, 100)
+    without, clip = results(at, 100), results(at | {"clip": clip}, 100)
     assert clip["sigma_orientation"] < 0.5 * without["sigma_orientation"]
     assert 30 < clip["n_kept_drawn"] < 39.5
     assert clip["n_drawn"] == without["n_kept_drawn"] == 40
@@ -142,16 +143,10 @@ def test_a_spin_for_each_bin_is_stored(tmp_path):
     assert "COLUMN=EDGE" in check(at | {"bins": "17"})
 
 
-def test_releases_new_positions_and_jitter_change_the_published_forecast_as_they_should():
+def test_new_positions_give_the_published_forecast():
     found = results(point("pulsar-forecast", n_new=62), 2)
     assert found["sigma_predicted"][:3].max() == pytest.approx(0.243, abs=5e-4)
     assert np.isnan(found["estimate"]).all()  # there is no timing yet
-    at = point("pulsar-forecast", n_new=62, new_error=1e-3)
-    now, later = (results(at | {"release": r, "from_release": "dr3"}, 2)["sigma_predicted"] for r in ("table", "dr5"))
-    # almost all of the error is the satellite's, whose positions improve as T^-1/2
-    assert (later / now)[:3] == pytest.approx((34 / 126) ** 0.5, rel=1e-3)
-    exact, jitter = (results(point("pulsar-timing", jitter=j), 2)["error_formal"][:3] for j in ("", "all=5.0"))
-    assert np.all(jitter > exact)
 
 
 def test_mean_new_positions_are_not_displaced_by_parallaxes():

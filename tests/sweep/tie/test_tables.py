@@ -8,7 +8,7 @@ from astropy.coordinates import Angle, SkyCoord
 from astropy.table import MaskedColumn, Table
 from astropy.time import Time
 
-from linksweep import SweepError, tie
+from linksweep import SweepError, answer, tie
 from linksweep.core.frames import ARCSEC, DEGREE, MAS
 from linksweep.core.tie.astrometry import PAIRS, kinds, propagated
 from linksweep.sweep.tie.setup import match
@@ -105,6 +105,11 @@ def test_the_dataset_states_its_epoch_units_spins_by_bins_and_large_shares(tmp_p
     assert list(link.error_kind.values) == ["jackknife", "bootstrap", "formal", "scaled"]
     assert (list(link.unit.values), link.attrs["epoch"]) == (["mas"] * 3 + ["mas/yr"] * 3, 2020.0)
     assert len(link.attrs["satellite_sha256"]) == 64
+    plain = tie(satellite, reference, errors="formal", epoch=2020.0)
+    x, spread = plain.estimate.values[:3], plain.covariance.values[:3, :3]
+    _, _, length, _, error, unit, *_ = answer(plain).sentences[0].split()  # Turned by 2 ± 1 mas
+    expected = np.linalg.norm(x), np.sqrt(x @ spread @ x) / np.linalg.norm(x)
+    assert ((float(length), float(error)), unit) == (pytest.approx(expected, rel=0.06), "mas")
     binned = tie(satellite, reference, bins=("phot_g_mean_mag", [6.0, 8.0]))
     np.testing.assert_allclose(binned.spin_by_bin, [omega] * 3, atol=1e-5)
     assert not any("there is no spin" in note for note in binned.attrs["notes"])
