@@ -22,7 +22,7 @@ from linksweep.sweep.formatting import harmless, with_micro_signs
 from linksweep.sweep.result import Result, open_result
 from linksweep.sweep.running import progress as watching
 from linksweep.sweep.running.reproduce import verify as verified
-from linksweep.sweep.running.run import Beside, run_study
+from linksweep.sweep.running.run import ALL, Beside, run_study
 from linksweep.sweep.stores.location import Where, default_store, located, store_named
 from linksweep.sweep.studies.points import plain_value
 from linksweep.sweep.studies.reader import live_study, load_study, reference_in, study_of_function
@@ -195,7 +195,8 @@ def refine(
         variable: for ``until``, the output; by default the main one.
         max_realisations: how many there may be in all, besides those that the study itself has; by default points get
             no more from a fifth of those of the full grid on, and new points are not limited.
-        options: further arguments of `run`: ``axes``, ``sampling``, ``workers`` and so on.
+        options: further arguments of `run`: ``axes``, ``sampling``, ``workers`` and so on; but not ``part``, ``fresh``,
+            ``retry``, ``only``, ``keep`` and ``redo``, which are about a single run.
 
     Returns:
         The outputs of the study with its further points, over its axes; the attribute ``refined`` has all rounds, as
@@ -214,6 +215,8 @@ def refine(
     """
     from linksweep.sweep.analysis.refine import refinements
 
+    if wrong := [name for name in (*vars(ALL), "part") if options.get(name)]:
+        raise SweepError(f"{wrong[0]} is an argument of run, and not of refine")
     names = ("axes", "fixed", "points", "labels", "exclude", "when", "sampling", "title")
     loaded = _study(study, {name: options.pop(name) for name in names if name in options})
     place = located(store or default_store(loaded.name))

@@ -20,6 +20,7 @@ GOALS = [({}, "find"), (FOUND | {"until": "error < 1"}, "until"), ({"find": "sha
 GOALS += [(FOUND | {"within": math.nan}, "within"), (FOUND | {"find": "shape is 0"}, "shape is 0")]
 GOALS += [(FOUND | {"along": "y"}, "y"), (FOUND | {"variable": "other"}, "other"), ({"until": "shape < 0"}, "< 0.002")]
 GOALS += [(FOUND | {"axes": ELEVEN | {"power": [1.0, 2.0]}}, r"--along\): x, power$")]
+GOALS += [(FOUND | {name: True}, f"^{name} is an argument of run") for name in ("part", "fresh", "redo")]
 GOALS += [(FOUND | {"axes": {"x": [0, 0.3, x]}}, why) for x, why in ((0.1 + 0.2, "rounding"), (math.inf, "there$"))]
 
 
