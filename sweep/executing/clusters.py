@@ -688,7 +688,7 @@ class DaskDriver:
         time.sleep(PAUSE_S)  # what ails Dask may pass
         return replace(one, troubles=one.troubles + 1)
 
-    def _arrived(self) -> list[tuple[Future[Any], Reply | None]]:
+    def _arrived(self) -> "list[tuple[Future[Any], Reply | None]]":
         """Wait for futures that end, and watch the workers meanwhile; return them with their results, fetched in one
         message.  What fails so is fetched by itself later.
         """
@@ -708,7 +708,7 @@ class DaskDriver:
         known = dict(zip(good, answers, strict=False))
         return [(future, known.get(future)) for future in futures]
 
-    def _fetch(self, futures: list[Future[Any]]) -> Fetching[list[Reply]]:
+    def _fetch(self, futures: "list[Future[Any]]") -> Fetching[list[Reply]]:
         """Begin to fetch results, in one message.
 
         Fetching goes on whether it is waited for or not.  Dask cancels what takes longer than its timeouts; if it had
@@ -717,7 +717,7 @@ class DaskDriver:
         loop: Any = self.client.loop
         return asyncio.run_coroutine_threadsafe(self.client.gather(futures, asynchronous=True), loop.asyncio_loop)
 
-    def _result(self, future: Future[Any]) -> Reply:
+    def _result(self, future: "Future[Any]") -> Reply:
         """Wait for a result, and watch the workers meanwhile: if the worker that had it has died since, it is computed
         again, which would take for ever without workers.
         """
@@ -726,7 +726,7 @@ class DaskDriver:
             self._look()
         return fetching.result()[0]
 
-    def _received(self, future: Future[Any], fetched: Reply | None) -> Reply:
+    def _received(self, future: "Future[Any]", fetched: Reply | None) -> Reply:
         """Return a worker's answer; raises the error with which Dask lost it.  What the experiment raises is in it.
 
         Raises SweepError where the worker differs, where it cannot run linksweep, and where the connection is lost.
