@@ -43,7 +43,6 @@ def reference(tmp_path_factory):
 
 @pytest.fixture
 def start(link_study, tmp_path, start_sweep):
-    """A function that starts the run into s.zarr, and waits, by default, for its first results."""
 
     def start(*resources, waits=True):
         store = tmp_path / "s.zarr"

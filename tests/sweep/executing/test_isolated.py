@@ -191,7 +191,6 @@ def test_what_a_child_leaves_running_does_not_keep_the_run(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("workers", [("--workers", "1"), ("--cluster", "c.toml")], ids=["own", "Dask"])
 def test_no_process_of_a_run_imports_what_lies_in_the_present_folder(tmp_path, workers):
-    """The folder may be a stranger's; the command that is installed does not look there either."""
     (folder := tmp_path / "strangers").mkdir()
     for name in ("sweep", "linksweep", "core", "numpy", "pickle", "signal", "selectors", "psutil", "tempfile"):
         (folder / f"{name}.py").write_text(f"open({str(tmp_path / 'marks')!r}, 'a').write(__name__ + ' ')\n")
