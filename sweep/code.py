@@ -32,7 +32,7 @@ import sysconfig
 import time
 import traceback
 import typing
-from collections import ChainMap, defaultdict
+from collections import ChainMap, defaultdict, namedtuple
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, fields
@@ -79,7 +79,8 @@ UNSTEADY = (io.IOBase, np.random.Generator, np.random.RandomState, random.Random
 BY_NAME = (globals, eval, exec, sys.modules)
 
 # Attributes of classes that Python sets: some are caches, and what is not is in the statements of the class.
-PYTHONS = ("__", "_abc_", "_value2member_map_")
+PYTHONS = ("__", "_abc_", "_value2member_map_", "_hashable_values_", "_unhashable_values_")
+NOTHING = (type(None), type(vars(namedtuple("_", "field"))["field"]))  # the second is what gets a field
 
 DEFINITIONS = (ast.FunctionDef, ast.AsyncFunctionDef, ast.ClassDef)
 IMPORTS = (ast.Import, ast.ImportFrom)
@@ -90,7 +91,7 @@ PLAIN_CLASS = {*dir(type), *dir(SupportsAbs), "__weakref__", "__firstlineno__", 
 # What such objects, and wrappers of libraries, have besides caches.
 WRAPPED = ("__func__", "fget", "fset", "fdel", "func", "pyfunc", "otypes", "signature", "__wrapped__", "_self_wrapper")
 # What a type stands for that is pickled by its name: an alias, a NewType, a type variable.
-MEANT = ("__value__", "__supertype__", "__bound__", "__constraints__", "__default__")
+MEANT = ("__value__", "__supertype__", "__bound__", "__constraints__")
 
 ALIAS: Any = getattr(typing, "TypeAliasType", NewType)  # Python 3.12 and later
 
@@ -429,7 +430,8 @@ class Reach:
         by_name = dict(zip(code.co_varnames[code.co_argcount - len(values) :], values, strict=False))
         by_name |= {name: value for name, value in vars(function).items() if not name.startswith("__")}
         text = "".join(self._refer(f"{label}.{k}", v) for k, v in (by_name | (function.__kwdefaults__ or {})).items())
-        text += "".join(self._refer(f"{k} of {label}", v, names) for k, v in _closure(function).items())
+        closed = {k: v for k, v in _closure(function).items() if not k.strip("_").endswith("HAS_DEFAULT_FACTORY")}
+        text += "".join(self._refer(f"{k} of {label}", v, names) for k, v in closed.items())
         if nodes:
             self.places[f"function {label}"] = f"{code.co_filename}, line {nodes[0].lineno}"
             inside = {inner for node in nodes for inner in ast.walk(node)}
@@ -463,7 +465,7 @@ class Reach:
                 if isinstance(inner, FunctionType):
                     self._follow(self._function, inner)
                     file = file or inner.__code__.co_filename  # the cell of a notebook
-                elif (not name.startswith(PYTHONS) or name == "__orig_bases__") and inner is not None:
+                elif not isinstance(inner, NOTHING) and (name == "__orig_bases__" or not name.startswith(PYTHONS)):
                     text += self._refer(f"{label}.{name}", inner)
         index = _index(tree_of(file, names))
         nodes = index[f"class {cls.__name__}"]
