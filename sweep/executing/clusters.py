@@ -125,11 +125,14 @@ def _client_of(file: "ClusterFile", where: str) -> Iterator[Client]:
         except SweepError as error:
             raise SweepError(error.problems, where) from error
         except Exception as error:  # whatever a cluster's class makes of its options
-            cause: BaseException = error
-            while cause.__cause__ is not None:
-                cause = cause.__cause__
+            cause = _first_cause(error)
             raise SweepError(f"{file.class_name}: {type(cause).__name__}: {cause}", where) from error
         yield client
+
+
+def _first_cause(error: BaseException) -> BaseException:
+    """Return from what an error, or what it was raised from, was raised: Dask says only that something failed."""
+    return error if error.__cause__ is None else _first_cause(error.__cause__)
 
 
 @contextmanager
@@ -149,7 +152,7 @@ def client_at(address: str, security: Security | None = None) -> Iterator[Client
         with warnings.catch_warnings(action="ignore"):  # of other versions: `DaskDriver` says it in words
             client = Client(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False, security=security)
     except (OSError, ValueError, TypeError, TimeoutError) as error:
-        reason = f": {error}" if str(error) else ""
+        reason = f": {cause}" if str(cause := _first_cause(error)) else ""
         raise SweepError(f"no Dask scheduler answers at {address!r} within {CONNECT_TIMEOUT_S} s{reason}") from error
     with client:
         yield client
@@ -166,7 +169,7 @@ async def _kind_of_server(address: str, options: dict[str, Any]) -> str:
     except (OSError, TimeoutError):
         raise
     except Exception as error:  # whatever Dask makes of the words of another kind of server
-        raise OSError(f"what answers is no Dask server ({type(error).__name__}: {error})") from error
+        raise OSError(f"what answers is no Dask server ({type(error).__name__}: {error})") from None
 
 
 def tls(ca: Path, cert: Path, key: Path) -> Security:

@@ -537,7 +537,7 @@ class Writer:
         raise SweepError([*problems, sentence], str(place))
 
     def stop(self) -> None:
-        """Make everything durable after an interruption, and write the dataset once more unless that takes long.
+        """Make everything durable where a run ends early, and write the dataset once more unless that takes long.
 
         Where it is not written, the dataset is an earlier one, and the next run makes it anew from the ledger.
         """
@@ -799,7 +799,7 @@ class Session:
 
     @contextmanager
     def _kept(self, writer: Writer) -> Iterator[None]:
-        """Make everything that was taken durable where an exception leaves this block."""
+        """Make everything that was taken durable, and write it, where an exception leaves this block."""
         try:
             yield
         except BaseException as error:
@@ -808,7 +808,7 @@ class Session:
                     writer.store.location.clear()  # as if nothing had been begun
                 raise
             with suppress(SweepError):
-                writer.stop() if isinstance(error, KeyboardInterrupt) else writer.flush()
+                writer.stop()
             writer.require_whole(error.problems if isinstance(error, SweepError) else ())
             raise
 
