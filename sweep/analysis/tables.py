@@ -110,11 +110,12 @@ def headline_table(dataset: xr.Dataset, most: int | None = MOST_ROWS) -> Table:
     """Return the headline results in units that read well: axes, values with errors, prediction, published value and
     difference, of the first ``most`` points or of all.
     """
-    dataset = quantity.in_readable_units(dataset)
+    names = quantity.headline_variables(dataset)
+    # Only what is shown is read: a store may have more large arrays than fit into memory.
+    dataset = quantity.in_readable_units(dataset.drop_vars(set(quantity.array_outputs(dataset)).difference(names)))
     status = dataset["status"].values.reshape(-1)
     rows = np.flatnonzero(status != Status.EXCLUDED)[:most]
-    names = quantity.headline_variables(dataset)
-    columns = _columns(dataset, [name for name in quantity.array_outputs(dataset) if name in names], rows)
+    columns = _columns(dataset, quantity.array_outputs(dataset), rows)
     names = [name for name in names if name in columns]
     shown = [columns[name] for name in quantity.axis_coordinates(dataset, quantity.axes_of(dataset))]
     for number, name in enumerate(quantity.with_values(dataset, names)):
@@ -257,9 +258,9 @@ def _component_tables(dataset: xr.Dataset) -> Iterator[Table]:
     """Yield the components of the points with the worst condition, of the first quantity that has errors and one
     dimension beside the axes; nothing for results without a condition number.
     """
-    known = (n for n in map(str, dataset.data_vars) if dataset[n].notnull().any())
-    names = (n for n in known if len(quantity.own_dimensions(dataset, n)) == 1)
-    name = next((n for n in names if quantity.standard_error(dataset, n) is not None), "")
+    names = (n for n in map(str, dataset.data_vars) if len(quantity.own_dimensions(dataset, n)) == 1)
+    with_errors = (n for n in names if quantity.standard_error(dataset, n) is not None)
+    name = next((n for n in with_errors if dataset[n].notnull().any()), "")
     conditions, shape = _conditions(dataset), dataset["status"].shape
     worst = np.argsort(-conditions, kind="stable")[: np.count_nonzero(conditions >= 0.0)]
     for flat in worst[:WORST_POINTS] if name else ():
