@@ -44,10 +44,9 @@ def tree(folder):
 
 
 @pytest.fixture
-def here(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "study.toml").write_text(GOOD)
-    return tmp_path
+def here(here):
+    (here / "study.toml").write_text(GOOD)
+    return here
 
 
 def write(folder, files):

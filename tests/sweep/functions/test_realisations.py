@@ -144,19 +144,15 @@ def test_a_point_with_more_realisations_has_the_variance_that_these_give_it(tmp_
     study |= {"title": name, "axes": {"error_scale": [1.0, 2.0]}, "sampling": sampling | {"n_sim": n}}
     counts = {make_grid(study_from_dict(study)).point(1).digest.hex(): 2 * n}
     runs = {"one": {"counts": counts}, "whole": {"sampling": sampling | {"n_sim": 2 * n}}}
-    one, whole = (
-        run(study | more, tmp_path / s)[f"{name}_mc_covariance_error_scale"].values for s, more in runs.items()
-    )
+    both = (run(study | more, tmp_path / store) for store, more in runs.items())
+    one, whole = (ds[f"{name}_mc_covariance_error_scale"].values for ds in both)
     assert one[1, 1] == whole[1, 1]
     np.testing.assert_allclose(one[0, 1], one[0, 0] * (1.0 if n_cat == 1 else 2.0), rtol=0.3)  # half the draws, or all
 
 
 @pytest.mark.parametrize("kind", [int, float, bool])
 def test_only_truth_values_are_counted(tmp_path, kind):
-    @experiment(outputs=Output("hit", statistics="count"))
-    def counted(rng, chance):
-        return kind(rng.random() < chance)
-
+    counted = experiment(outputs=Output("hit", statistics="count"))(lambda rng, chance: kind(rng.random() < chance))
     ds = sweep(counted, tmp_path / "s", {"n_sim": 60}, chance=[0.3])
     assert (ds.status.item() == 1) == (kind is bool)
     assert kind is bool or f"'hit' is of type {kind.__name__}; the statistic 'count'" in ds.attrs["failures"]

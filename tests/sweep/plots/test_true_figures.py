@@ -92,11 +92,8 @@ def test_series_of_close_values_and_of_times_have_colours_and_names_of_their_own
 
 def test_times_along_a_dimension_are_days_in_words_figures_and_options(tmp_path):
     days = np.array(["2020-01-01", "2020-01-02", "2020-01-03"], dtype="datetime64[D]")
-
-    @linksweep.experiment(outputs=[linksweep.Output("u", "K", dims="time", coords={"time": (days, "")})])
-    def watch(k: float):
-        return {"u": k * np.arange(1.0, 4.0)}
-
+    u = linksweep.Output("u", "K", dims="time", coords={"time": (days, "")})
+    watch = linksweep.experiment(outputs=[u])(lambda k: {"u": k * np.arange(1.0, 4.0)})
     dataset = linksweep.run(watch, tmp_path / "s.zarr", axes={"k": [1.0, 2.0]}, pool="serial")
     [axes] = linksweep.plot(dataset, "lines", over="k").axes
     assert {*axes.get_legend_handles_labels()[1]} >= {*map(str, days)}

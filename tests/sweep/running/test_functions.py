@@ -104,10 +104,8 @@ def test_a_run_returns_what_its_store_has_and_no_value_is_taken_for_a_missing_on
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_statistics_are_made_of_integers_that_floats_hold_and_of_no_others(tmp_path, sign):
-    def whole(beyond: int = 0, *, rng):
-        return {"n": sign * (2**53 + beyond)}
-
-    ds = run(whole, tmp_path / "w", axes={"beyond": [0, 1, -1, -(2**52)]}, sampling={"n_sim": 5})
+    axes = {"beyond": [0, 1, -1, -(2**52)]}
+    ds = run(lambda rng, beyond=0: {"n": sign * (2**53 + beyond)}, tmp_path / "w", axes=axes, sampling={"n_sim": 5})
     assert ds.status.values.tolist() == [1, 2, 1, 1]
     assert ds.n_mean.values[[0, 2, 3]] == pytest.approx([sign * n for n in (2**53, 2**53 - 1, 2**52)], rel=3e-16)
     assert "beyond 2**53" in json.loads(ds.attrs["failures"])["beyond=1"]

@@ -214,11 +214,9 @@ def test_values_without_effect_are_on_no_axis_and_none_is_one_of_its_own(tmp_pat
 
 @pytest.mark.parametrize("when", [*WRONG, "gamma", {"gamma": {"kernel": []}}, {"gamma": {"gamma": [1.0]}}])
 def test_a_condition_that_means_nothing_is_refused(tmp_path, when):
-    def fit(kernel: str = "rbf", gamma: float = 1.0):
-        return gamma
-
+    fit, axes = linksweep.experiment(when=when), {"kernel": ["rbf"], "gamma": [1.0]}
     with pytest.raises(linksweep.SweepError, match="when"):
-        linksweep.run(linksweep.experiment(when=when)(fit), tmp_path / "s", axes={"kernel": ["rbf"], "gamma": [1.0]})
+        linksweep.run(fit(lambda kernel="rbf", gamma=1.0: gamma), tmp_path / "s", axes=axes)
     assert not (tmp_path / "s").exists()
 
 

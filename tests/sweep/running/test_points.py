@@ -214,14 +214,11 @@ def test_rows_of_any_labels_grow_are_corrected_and_come_together_from_parts(tmp_
 
 @pytest.mark.parametrize("wells", [("AB", "CD"), ("AB", "AB"), ("", "CD")])
 def test_labels_are_those_of_the_points_of_their_tables(tmp_path, wells):
-    expected = {}
+    expected, x = {}, [1.0, 3.0]
     for temp, names in zip((1.0, 2.0), wells, strict=True):
-        rows = (
-            {"points": {"x": [1.0, 3.0], "well": [*names]}, "labels": "well"} if names else {"axes": {"x": [1.0, 3.0]}}
-        )
+        asked = {"points": {"x": x, "well": [*names]}, "labels": "well"} if names else {"axes": {"x": x}}
         expected |= dict(zip([(1.0, temp), (3.0, temp)], names or ("", ""), strict=True))
-        fixed = {"temp": temp}
-        linksweep.run(lambda x, temp=0.0: x * temp, tmp_path / "s", fixed=fixed, keep=True, pool="serial", **rows)
+        run(lambda x, temp=0.0: x * temp, tmp_path / "s", fixed={"temp": temp}, keep=True, **asked)
     frame = linksweep.open(tmp_path / "s").to_dataframe().reset_index()
     assert dict(zip(zip(frame.x, frame.temp, strict=True), frame.well, strict=True)) == expected
 

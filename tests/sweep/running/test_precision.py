@@ -76,10 +76,8 @@ def test_a_run_with_other_sampling_takes_nothing_from_the_points_of_a_store(tmp_
 def test_errors_at_the_stop_hold_the_truth_as_often_as_others(tmp_path, name, precision):
     law, truth = "lognormal" if name == "median" else "exponential", -np.log(0.05) if name == "q95" else 1.0
 
-    @experiment(outputs=[Output("w", statistics=[name])])
-    def waits(copy: int = 0, *, rng, n_sim):
-        return {"w": getattr(rng, law)(size=n_sim)}
-
+    w = Output("w", statistics=[name])
+    waits = experiment(outputs=[w])(lambda rng, n_sim, copy=0: {"w": getattr(rng, law)(size=n_sim)})
     sampling = {"n_sim": 100, "precision": precision, "seed": 6}
     dataset = linksweep.run(waits, tmp_path / "s", axes={"copy": range(2000)}, sampling=sampling, pool="serial")
     value, error = dataset[f"w_{name}"].values, dataset[f"w_{name}_mc_error"].values
@@ -109,10 +107,8 @@ def test_what_is_alike_at_all_realisations_has_no_error_and_does_not_hold_up_a_p
 
 
 def test_a_quantile_goes_on_until_its_error_is_known(tmp_path):
-    @experiment(outputs=[Output("w", statistics=["q99.9"])])
-    def waits(*, rng, n_sim):
-        return {"w": rng.exponential(size=n_sim)}
-
+    w = Output("w", statistics=["q99.9"])
+    waits = experiment(outputs=[w])(lambda rng, n_sim: {"w": rng.exponential(size=n_sim)})
     sampling = {"n_sim": 64, "precision": 0.5}
     whole = linksweep.run(waits, tmp_path / "whole", sampling=sampling, pool="serial")
     cut = linksweep.run(waits, tmp_path / "cut", sampling={**sampling, "max_n_sim": 1000}, pool="serial")
@@ -224,11 +220,8 @@ def test_errors_of_values_so_far_of_the_link_cover(tmp_path, share):
 
 @pytest.mark.parametrize("shape", [(64,), (100,), (2, 50), (7, 5, 3)])
 def test_half_a_run_covers_all_axes(tmp_path, shape):
-    def f(a: int, b: int = 0, c: int = 0):
-        return float(a + b + c)
-
     axes = {name: range(length) for name, length in zip("abc", shape, strict=False)}
-    ds = stopped(f, tmp_path / "s.zarr", 0.5, axes=axes)
+    ds = stopped(lambda a, b=0, c=0: float(a + b + c), tmp_path / "s.zarr", 0.5, axes=axes)
     done = np.argwhere((ds.status == 1).transpose(*axes).values)
     assert len(done) < 0.6 * np.prod(shape)
     for length, places in zip(shape, done.T, strict=True):

@@ -173,13 +173,12 @@ KM = HERE.values * u.km
 ITEMS = {"units": "km", "to": None, "__iter__": lambda some: (some[k : k + 1].reshape(()) for k in range(len(some)))}
 FOREIGN = HERE.values.view(type("Foreign", (np.ndarray,), ITEMS))  # as of unyt
 CARRIED = [(far, "axes", one) for one in (Table({"d": KM})["d"], {"start": KM[0], "stop": KM[1], "num": 2})]
-CARRIED += [(far, key, some) for key in ("axes", "points") for some in (HERE, [*HERE], FOREIGN)] + [
-    (far, "fixed", HERE[1])
-]
+CARRIED += [(far, key, some) for key in ("axes", "points") for some in (HERE, [*HERE], FOREIGN)]
+CARRIED += [(function, "fixed", some) for function, some in ((far, HERE[1]), (far, KM[1]), (measured, KM[1]))]
 CARRIED += [(f, *one) for f in (far, measured) for key in ("axes", "points") for one in ((key, KM), (key, [*KM]))]
 
 
-@pytest.mark.parametrize(("function", "key", "some"), [*CARRIED, (far, "fixed", KM[1]), (measured, "fixed", KM[1])])
+@pytest.mark.parametrize(("function", "key", "some"), CARRIED)
 def test_whatever_carries_a_unit_becomes_numbers_in_that_of_the_parameter(function, key, some, tmp_path):
     for _ in range(2):  # what the store has is the same study
         ds = run(function, tmp_path / "s", pool="serial", **{key: {"distance": some}})
