@@ -17,9 +17,11 @@ import pytest
 import xarray as xr
 
 import linksweep
+from linksweep.sweep.executing.clusters import cluster_class, own_cluster, read_cluster_file
 from tests.documents import ROOT, code, commands, run_commands, save_files
 from tests.sweep.executing.test_clusters import Files as TlsFiles
 from tests.sweep.outside import Outside
+from tests.test_imports import FILES
 from tests.tiers import PATIENCE_S
 
 # The pages whose commands need nothing from elsewhere.  Others are run below (clusters), and by the tests of the
@@ -36,12 +38,7 @@ FIRST_IS_FILE = {"points.md": "flow.py", "refine.md": "shapes.py"}
 SCRIPTS = [*FIRST_IS_FILE, "clusters.md", "dr4.md", "functions.md", "planning-observations.md", "results.md", "tie.md"]
 SHOWN = [(document, 0, 0) for document in ("tie.md", "planning-observations.md", "dr4.md", "tie-science.md")]
 SHOWN += [("planning-observations.md", 3, 1), ("tie-science.md", 1, 1)]
-MODULES = [
-    ".".join(("linksweep", *path.relative_to(ROOT / folder).with_suffix("").parts)).removesuffix(".__init__")
-    for folder, top in (("linksweep", "linksweep"), ("", "core"), ("", "sweep"))
-    for path in sorted((ROOT / top).rglob("*.py"))
-    if ">>> " in path.read_text()
-]
+MODULES = [f"linksweep.{name}".removesuffix(".__init__") for name, path in FILES.items() if ">>> " in path.read_text()]
 ON_POOLS = """
 for pool in ("serial", "threads", "processes"):
     on = linksweep.run(growth, axes={"rate": [0.0, 0.1]}, store=f"{pool}.zarr", pool=pool, progress=False)
@@ -202,8 +199,6 @@ def test_the_commands_about_clusters_run(tmp_path, sweep):
 @pytest.mark.slow
 def test_the_batch_systems_of_the_document_get_their_jobs(tmp_path):
     """The files make job scripts; a real SLURM runs one like the first in test_slurm."""
-    from linksweep.sweep.executing.clusters import cluster_class, own_cluster, read_cluster_file
-
     shown = {"slurm.toml": code("clusters.md", "toml")[1], "pbs.yaml": code("clusters.md", "yaml")[0]}
     said = {"slurm.toml": ["#SBATCH -p short", "#SBATCH --account=astro"]}
     said["pbs.yaml"] = ["#PBS -l select=1:ncpus=8:mem=16GB", "--nworkers 8"]

@@ -80,14 +80,6 @@ def run(place, rates=(1.0, 2.0), sampling=None, **changed):
     return linksweep.run(study | {"experiment": experiment}, place, pool="serial", max_failures="100%")
 
 
-class Stop(BaseException):
-    pass
-
-
-def stop(points, n_sim, rng, catalogue_rng):
-    raise Stop("enough")
-
-
 def of(*values):
     return lambda points, n_sim, rng, catalogue_rng: {"total": [list(values) if len(values) > 1 else values[0]]}
 
@@ -108,7 +100,7 @@ RESULTS = [
     ({"summarise": lambda sums, n, n_cat: {"maen": n}}, "'maen', which is no declared output; did you mean 'mean'?"),
     (summary(lambda total: np.ones((3, len(total)))), "summarise: the output 'mean' has the shape (3, "),
     *((THREE, "total has 1 NaN and 1 infinite of 3 values"), (summary(lambda total: total * math.nan), "mean is NaN")),
-    *((called(lambda: sys.exit(3)), "SystemExit: 3"), ({"evaluate": stop}, "Stop: enough")),
+    (called(lambda: sys.exit(3)), "SystemExit: 3"),
 ]
 
 

@@ -144,7 +144,6 @@ def test_a_client_computes_the_same_bits_and_goes_on_to_work(client, tmp_path, m
         here = linksweep.run(noise, tmp_path / "here.zarr", axes=AXES, sampling=sampling, pool="serial")
         there = linksweep.run(noise, tmp_path / "there.zarr", axes=AXES, sampling=sampling, client=client)
     same(here, there)
-
     with pytest.raises(linksweep.SweepError, match="stopped"):  # a run that is interrupted leaves no tasks with it
         linksweep.run(lambda x: time.sleep(0.02) / x, tmp_path / "s.zarr", axes=AXES, client=client, max_failures=1)
     wait_until(lambda: not any(client.processing().values()), "the end of its tasks")

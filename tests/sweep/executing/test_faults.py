@@ -43,7 +43,6 @@ def reference(tmp_path_factory):
 
 @pytest.fixture
 def start(link_study, tmp_path, start_sweep):
-
     def start(*resources, waits=True):
         store = tmp_path / "s.zarr"
         process = start_sweep("run", link_study, "-o", store, *LONG, *resources, cwd=tmp_path)

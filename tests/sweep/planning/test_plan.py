@@ -249,7 +249,6 @@ def test_a_failed_point_is_given_out_no_more_and_never_done(taken_before):
 
 @given(reads=st.dictionaries(st.integers(1, 3), st.sampled_from(["chance", "metal"]), max_size=2), order=st.randoms())
 def test_what_is_asked_of_a_point_is_its_own_answer_whatever_it_depends_on(reads, order):
-
     def cost(point):
         other = point[reads[point["coins"]]] if point["coins"] in reads else ""
         return float(1 + 100 * point["coins"] + len(str(other)) + 10 * (other == 0.5))
@@ -280,7 +279,6 @@ def test_rows_of_a_ledger_are_found_as_a_dictionary_finds_them(first, further, w
 @given(st.integers(0, 2**64 - 1), NAMES, st.integers(0, 2**32 - 40), st.integers(0, 2**32 - 1))
 @example(2**64 - 1, bytes(16), 0, 0)
 def test_streams_are_numpys_own_children_of_the_seed(seed, name, first, part):
-
     def state(rng):
         return rng.bit_generator.state["state"]["state"].tolist()
 

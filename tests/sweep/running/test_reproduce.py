@@ -19,14 +19,11 @@ from tests.sweep.opening import OpenStore, same
 from tests.tiers import slow
 
 TABLE, ZIPPED = {"a": [0.0, 1.0, 0.0], "b": [5.0, 6.0, 7.0]}, {"a": [0.0, 1.0], "b": [5.0, 6.0]}
-EXPERIMENT = (Path(__file__).parents[1] / "coins.py").read_text()
-FRAGILE = EXPERIMENT.replace(
-    "    bias =",
-    """    from pathlib import Path
+BREAKS = """    from pathlib import Path
     if points[0]["coins"] == 5 and Path(__file__).with_name("broken").exists():
         raise ZeroDivisionError(f"no {points[0]['metal']} coins left")
-    bias =""",
-)
+    bias ="""
+FRAGILE = (Path(__file__).parents[1] / "coins.py").read_text().replace("    bias =", BREAKS)
 HEAD = "import itertools, random, time\nimport numpy as np\ncalls = itertools.count()\nseen = {}\n"
 BESIDE = "def f(rng: np.random.Generator, x: float = 0.0):\n    return np.random.default_rng().normal()\n"
 DIFFERENT = {
@@ -52,10 +49,8 @@ RESTS = ["", f"/?token={SECRET}", f"?X-Amz-Signature={SECRET}&x=1", f"/#{SECRET}
 
 def test_a_failed_point_is_left_alone_shown_and_on_request_computed_again(tmp_path, sweep):
     (tmp_path / "fragile.py").write_text(FRAGILE)
-    (tmp_path / "coins.toml").write_text(
-        'title = "Coins"\nexperiment = "fragile.py:experiment"\nsampling = { n_sim = 1000, n_cat = 20, seed = 7 }\n'
-        'axes = { metal = ["gold", "tin"], coins = [1, 5, 20] }\n'
-    )
+    text = 'title = "Coins"\nexperiment = "fragile.py:experiment"\nsampling = { n_sim = 1000, n_cat = 20, seed = 7 }\n'
+    (tmp_path / "coins.toml").write_text(text + 'axes = { metal = ["gold", "tin"], coins = [1, 5, 20] }\n')
     (tmp_path / "broken").touch()
     store, command = tmp_path / "s.zarr", ("run", tmp_path / "coins.toml", "-o")
     failed, good = (("reproduce", store, "--at", f"metal=tin,coins={n}") for n in (5, 20))

@@ -35,8 +35,8 @@ def positions(ra_deg, dec_deg, error_arcsec=1.0):
     return Positions(ra, dec, error, error)
 
 
-def sky(rng, n, error_arcsec=1.0):
-    return positions(rng.uniform(0, 360, n), np.degrees(np.arcsin(rng.uniform(-1, 1, n))), error_arcsec)
+def sky(rng, n, error_arcsec=1.0, sines=(-1, 1)):
+    return positions(rng.uniform(0, 360, n), np.degrees(np.arcsin(rng.uniform(*sines, n))), error_arcsec)
 
 
 def near(rng, where, sigma_arcsec):
@@ -54,10 +54,6 @@ def catalogue(where, radius_arcsec, identifier=None):
 
 def coordinates(where):
     return SkyCoord(where.ra * u.rad, where.dec * u.rad)
-
-
-def no_supplement(stars):
-    return np.zeros(len(stars.ra), dtype=bool)
 
 
 def concatenated(*parts):
@@ -113,7 +109,7 @@ def on_grid(points, radius=0.0):
 
 def matched(stars, catalogues):
     """The matches as positions, which do not depend on the order of rows; nothing is matched twice."""
-    matches = cross_match(stars, no_supplement(stars), catalogues)
+    matches = cross_match(stars, np.zeros(len(stars.ra), dtype=bool), catalogues)
     for column in (matches["star"], matches["galaxy"], matches["identifier"][matches["identifier"] > 0]):
         assert len(set(column.tolist())) == len(column)
     assert matches.found_in[np.arange(len(matches)), matches["catalogue"]].all()
@@ -163,12 +159,8 @@ def test_each_rule_of_the_classes_in_a_search():
 
 def test_local_chance_pairs_follow_the_crowding():
     rng = np.random.default_rng(7)
-
-    def strip(n):
-        return positions(rng.uniform(0, 360, n), np.degrees(np.arcsin(rng.uniform(0.0, 0.2, n))))
-
-    stars, galaxies = strip(20_000), strip(20_000)
-    chance = cross_match(stars, no_supplement(stars), [catalogue(galaxies, 30.0)]).chance[0]
+    stars, galaxies = (sky(rng, 20_000, sines=(0.0, 0.2)) for _ in "sg")
+    chance = cross_match(stars, np.zeros(20_000, dtype=bool), [catalogue(galaxies, 30.0)]).chance[0]
     np.testing.assert_allclose(chance["chance_pairs_uniform"], 4e8 * np.sin(15.0 * ARCSEC) ** 2)
     local, error = chance["chance_pairs_local"], chance["chance_pairs_local_error"]
     assert abs(local - 10.0 * chance["chance_pairs_uniform"]) < 5.0 * error

@@ -1,6 +1,7 @@
 """Folders and buckets keep the same promises; one run at a time writes to a store; no links or pipes are in it."""
 
 import errno
+import fcntl
 import json
 import os
 import shutil
@@ -48,8 +49,6 @@ def test_only_one_of_many_creates_or_swaps_a_file(place, links, monkeypatch):
 
 def test_a_file_that_was_replaced_by_an_equal_one_is_not_swapped(tmp_path, monkeypatch):
     """Who waited for the system's lock on a file that has gone since does not hold that of the new one."""
-    import fcntl
-
     place, flock = Folder(tmp_path), fcntl.flock
     place.put("lock", b"old")
 
@@ -67,7 +66,6 @@ def test_a_file_and_its_folder_are_on_the_disk_or_the_old_one_is(tmp_path, monke
     monkeypatch.setattr(os, "fsync", lambda number: (synchronised.append(os.fstat(number).st_ino), fsync(number))[1])
     Folder(tmp_path).put("a/b", b"old")
     assert synchronised == [(tmp_path / "a" / "b").stat().st_ino, (tmp_path / "a").stat().st_ino]
-
     monkeypatch.setattr(os, "fsync", Mock(side_effect=OSError(28, "No space left on device")))
     with pytest.raises(OSError, match="No space left"):
         Folder(tmp_path).put("a/b", b"new")
@@ -210,7 +208,7 @@ def can_be_taken(place, **options):
 
 
 def without_flock(monkeypatch, number=errno.ENOLCK):
-    monkeypatch.setattr(opening.location.fcntl, "flock", Mock(side_effect=OSError(number, os.strerror(number))))
+    monkeypatch.setattr(fcntl, "flock", Mock(side_effect=OSError(number, os.strerror(number))))
 
 
 @pytest.mark.parametrize("number", [None, errno.ENOLCK, slow(errno.EOPNOTSUPP), slow(errno.ENOSYS)])

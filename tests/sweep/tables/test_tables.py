@@ -302,9 +302,6 @@ def test_what_a_table_is_said_to_include_holds_for_units_of_time_too():
         assert Columns(Table({"ra": [1.0]}, units={"ra": unit})).in_time("ra") is (unit not in (None, "rad"))
 
 
-# ----- conditions on rows
-
-
 def joined(inner):
     return st.one_of(st.builds(words.format, *[inner] * number) for number, words in JOINED)
 
