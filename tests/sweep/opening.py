@@ -129,10 +129,9 @@ def existing_store(where, study):
     return None if found is None else open_store(found, study)
 
 
-def create_or_resume(where, study, attributes=None):
-    study = study_from_dict(study) if isinstance(study, dict) else study
-    attributes = provenance(study) | begun_by() if attributes is None else attributes
-    opened = find_store(where, study) or create_store(where, {**attributes, **identity(study)})
+def create_or_resume(where, document):
+    study = study_from_dict(document)
+    opened = find_store(where, study) or create_store(where, provenance(study) | begun_by() | identity(study))
     store = open_store(opened, study, writes=True)
     store.keep_copy()
     return store
@@ -147,11 +146,10 @@ def parts_of(store, column="rows"):
 
 
 def rows_on_disk(store):
-    try:
+    with suppress(FileNotFoundError):
         manifest = json.loads((Path(store) / "blocks" / "zarr.json").read_text())["attributes"]["manifest"]
-    except FileNotFoundError:
-        return 0
-    return sum(part["records"] for part in manifest["parts"])
+        return sum(part["records"] for part in manifest["parts"])
+    return 0
 
 
 def files_of(store):

@@ -57,10 +57,9 @@ class Outside:
 
 
 def address_in(file: Path) -> str | None:
-    try:
+    with suppress(FileNotFoundError, json.JSONDecodeError):
         return json.loads(file.read_text())["address"]
-    except (FileNotFoundError, json.JSONDecodeError):
-        return None
+    return None
 
 
 def wait_until(true, what, seconds=PATIENCE_S):

@@ -46,11 +46,10 @@ def test_every_cell_of_table_1(dataset):
 def test_sigma_bias_and_chi2_are_within_their_errors_of_the_prediction(dataset):
     n_sim, dof = dataset["n_sim_done"], 4 * dataset["n_obj"] - 6
     np.testing.assert_array_equal(dataset["dof"], dof)
-    off = np.abs(dataset["sigma"] - dataset["sigma_predicted"]) / dataset["sigma_mc_error"]
-    assert off.max() < 4
-    off = np.abs(dataset["sigma_spin"] - dataset["sigma_spin_predicted"]) / dataset["sigma_spin_mc_error"]
-    assert off.max() < 4
-    assert 0.5 < np.sqrt((off**2).mean()) < 1.5  # the errors are honest, neither too small nor too large
+    for name in ("sigma", "sigma_spin"):
+        off = np.abs(dataset[name] - dataset[f"{name}_predicted"]) / dataset[f"{name}_mc_error"]
+        assert off.max() < 4
+    assert 0.5 < np.sqrt((off**2).mean()) < 1.5  # those of the spin are honest, neither too small nor too large
     assert (np.abs(dataset["bias"]) / (dataset["sigma"] / np.sqrt(n_sim))).max() < 4.5  # 156 values
     assert (np.abs(dataset["chi2"] - dof) / np.sqrt(2 * dof / n_sim)).max() < 4
 

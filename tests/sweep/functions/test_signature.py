@@ -135,6 +135,7 @@ def test_a_declaration_that_means_nothing_is_refused_by_name(declared, function,
 
 
 def test_all_mistakes_of_a_declaration_are_told_at_once():
+    hours = {"q": (Column([1.0], unit="h"), "d")}
     mistakes = [  # outputs, and what is said of each
         (Output("speed", unit="furlong/fortnight"), "output 'speed': the unit 'furlong/fortnight' is none"),
         (Output("x"), "output 'x': is the name of another parameter"),
@@ -146,10 +147,7 @@ def test_all_mistakes_of_a_declaration_are_told_at_once():
         (Output("m", statistics=["men"]), "there is no statistic 'men'; did you mean 'mean'?"),
         (Output("m2", statistics=["mean"]), "statistics are made of realisations, and the function takes no rng"),
         (Output("bad", dims="k", coords={"k": [1.0, np.nan]}), "'bad': has a coordinate 'k' that has values that are"),
-        (
-            Output("h", dims="q", coords={"q": (Column([1.0], unit="h"), "d")}),
-            "a coordinate 'q' that is in h, expected d",
-        ),
+        (Output("h", dims="q", coords=hours), "a coordinate 'q' that is in h, expected d"),
     ]
     outputs, sentences = zip(*mistakes, strict=True)
     with pytest.raises(SweepError) as caught:

@@ -147,7 +147,6 @@ def test_controls_change_the_plot(show, store_of):
     for (x, y), model in zip(first["series"], ("amex", "gaia"), strict=True):
         assert x == dataset["v_max"].values.tolist()
         assert y == pytest.approx((1000.0 * dataset["sigma_spin"].sel(model=model)).values.tolist(), rel=1e-6)
-
     choose(driver, "x", "model")
     assert drawn(driver)["x"] == "model"
     assert pixels(driver) != picture

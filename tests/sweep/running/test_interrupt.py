@@ -106,13 +106,12 @@ def test_except_exception_in_a_loop_does_not_go_on_after_ctrl_c(tmp_path):
     assert began == [0]
 
 
-def catching(x: int):
-    with suppress(KeyboardInterrupt):
-        signal.raise_signal(signal.SIGINT)
-    return x
-
-
 def test_a_function_that_catches_it_ends_the_run_when_it_returns(tmp_path):
+    def catching(x: int):
+        with suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+        return x
+
     with pytest.raises(KeyboardInterrupt):
         linksweep.run(catching, tmp_path / "s.zarr", axes={"x": [1, 2, 3]}, pool="serial")
     assert rows_on_disk(tmp_path / "s.zarr") == 1
