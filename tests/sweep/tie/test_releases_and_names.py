@@ -40,10 +40,11 @@ def test_identifiers_of_two_releases_are_different_names(tmp_path):
     own = {"source_id": exchanged, "designation": [f"Gaia DR4 {number}" for number in exchanged]}
     other = {"source_id": numbers, "designation": [f"Gaia DR3 {number}" for number in numbers]}
     tables = two_tables(tmp_path, own=own, other=other)
+    Table.read(tables[0])[1:].write(tables[0], overwrite=True)  # the first of other.ecsv is nobody
     link = linksweep.tie(*tables, "orientation,spin")
     np.testing.assert_allclose(link.estimate[:3], TURN / MAS, atol=1e-4)
     assert said(link, "identifiers of dr4 and dr3 are different names; stars are named as in other.ecsv")
-    assert link.source.values.tolist() == [str(number) for number in numbers]
+    assert link.source.values.tolist() == [*map(str, numbers[1:])]
     # without designations the epochs say it
     bare = two_tables(tmp_path, own={"source_id": exchanged}, other={"source_id": numbers})
     assert said(linksweep.tie(*bare, "orientation,spin"), "are different names")
