@@ -191,6 +191,9 @@ def outer_draw_of(attributes: Mapping[Any, Any]) -> str:
     return str(attributes.get(OUTER_DRAW, "outer draw" if "experiment" in attributes else "catalogue"))
 
 
+_GIT = Lock()  # several threads may run studies
+
+
 def begun_by() -> dict[str, str]:
     """Return the attributes of a result that say by what it is made: this process, its command and its packages."""
     with _GIT:
@@ -212,9 +215,6 @@ def made_by() -> dict[str, str]:
     return begun | ({"git_commit": commit} if commit else {}) | {"finished": now()}
 
 
-_GIT = Lock()  # several threads may run studies
-
-
 @cache  # this process computes with the code that it has imported
 def _asked_git() -> "subprocess.Popen[str] | None":
     """Start git in the checkout this package runs from, to say its commit; None outside one, and without git."""
@@ -231,6 +231,10 @@ def _asked_git() -> "subprocess.Popen[str] | None":
 @cache
 def git_commit() -> str:
     """Return the commit of the checkout, with '+changes' if it was edited; '' where git does not say it."""
-    with suppress(subprocess.SubprocessError):
-        return process.communicate(timeout=5)[0].strip() if (process := _asked_git()) else ""
-    return ""
+    if (process := _asked_git()) is None:
+        return ""
+    try:
+        return process.communicate(timeout=5)[0].strip()
+    except subprocess.TimeoutExpired:
+        process.kill()
+        return ""
