@@ -252,15 +252,14 @@ class Plan:
             return None
         if (alike := _dealt_alike(self, part.total)) is not None:
             return dict.fromkeys(alike[0][alike[1] == part.number].tolist())
-        units: dict[int, list[Unit]] = {}
+        divided, blocks = set[int](), dict[int, list[Block]]()
         for unit, number in deal(self, part.total):
-            if number == part.number:
-                for index in unit.indices:
-                    units.setdefault(index, []).append(unit)
-        return {
-            index: None if len(some) == some[0].units else tuple(sorted(unit.block for unit in some if unit.block))
-            for index, some in sorted(units.items())
-        }
+            if number != part.number:
+                divided.update(unit.indices)
+                continue
+            for index in unit.indices:
+                blocks.setdefault(index, []).extend([unit.block] if unit.block else ())
+        return {index: tuple(sorted(some)) if index in divided else None for index, some in sorted(blocks.items())}
 
 
 def _doublings(sims: int) -> int:
@@ -295,32 +294,32 @@ Share = Mapping[int, tuple[Block, ...] | None]
 
 
 class Unit(NamedTuple):
-    """What no two parts divide: a block of points that share its random numbers, or all blocks of these points, which
-    have so many ``units`` together.
-    """
+    """What no two parts divide: a block of points that share its random numbers, or all blocks of these points."""
 
     cost: float
     indices: tuple[int, ...]
     block: Block | None
-    units: int
 
 
 def _units(plan: Plan) -> Iterator[Unit]:
     """Yield the units of a plan in the order of its points."""
     grid, sampling = plan.grid, plan.grid.study.sampling
-    groups: dict[object, list[tuple[int, float]]] = {}
-    for index, parameters in grid.parameters():
-        key = grid.draw(parameters) if grid.study.draws_together else index
-        groups.setdefault(key, []).append((index, plan.cost(parameters)))
+    groups: dict[object, list[tuple[int, float, range]]] = {}
+    for point in grid.points():
+        key = grid.draw(point.parameters) if grid.study.draws_together else point.index
+        groups.setdefault(key, []).append((point.index, plan.cost(point.parameters), plan.parts_of(point)))
     for members in groups.values():
         for start in range(0, len(members), MOST_SHARING):
-            indices, costs = zip(*members[start : start + MOST_SHARING], strict=True)
-            blocks = plan.blocks(costs[0])
+            some = members[start : start + MOST_SHARING]
+            indices, costs, parts = zip(*some, strict=True)
+            blocks = plan.blocks(costs[0], max(parts, key=len))
             if len(blocks) == 1 or sampling.precision is not None:
                 # How many blocks a precision needs is known from all earlier ones of the point.
-                yield Unit(_rounded(sum(plan.cost_of(block, costs) for block in blocks)), indices, None, 1)
-            else:
-                yield from (Unit(_rounded(plan.cost_of(one, costs)), indices, one, len(blocks)) for one in blocks)
+                yield Unit(_rounded(sum(plan.cost_of(block, costs) for block in blocks)), indices, None)
+                continue
+            for block in blocks:
+                indices, costs, _ = zip(*(one for one in some if block.part in one[2]), strict=True)
+                yield Unit(_rounded(plan.cost_of(block, costs)), indices, block)
 
 
 def _rounded(cost: float) -> float:
@@ -352,8 +351,8 @@ def _dealt_alike(plan: Plan, parts: int) -> tuple[NDArray[np.intp], NDArray[np.i
     """Return the indices of all points, and for each the number that `deal` gives to it, where each is a unit and all
     cost the same: a million take a second.  None elsewhere.
     """
-    sampling = plan.grid.study.sampling
-    if not plan.costs_nothing_special or plan.grid.study.draws_together:
+    study, sampling = plan.grid.study, plan.grid.study.sampling
+    if not plan.costs_nothing_special or study.draws_together or any(study.counts.values()):
         return None
     if sampling.precision is None and len(plan.blocks(1.0)) > 1:
         return None

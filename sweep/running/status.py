@@ -70,7 +70,7 @@ class _Points:
         special: dict[int, Sequence[Block]] = {i: blocks for i, blocks in (share or {}).items() if blocks is not None}
         more = self.find(_numbers(map(bytes.fromhex, study.counts))[:, 0])
         for point in self.grid.points(more[more >= 0]):
-            special[point.index] = plan.blocks(cost[point.index], plan.parts_of(point))
+            special.setdefault(point.index, plan.blocks(cost[point.index], plan.parts_of(point)))
         for index, blocks in special.items() if not self.is_adaptive else ():
             self.wanted[index] = sum(block.realisations for block in blocks)
         shapes = {plan.block_shape(one): one for one in whole}  # points of one shape have the same blocks

@@ -12,6 +12,7 @@ from hypothesis import HealthCheck, Phase, given, settings, strategies as st
 
 import linksweep
 from linksweep import Limits, SweepError
+from tests.sweep import opening
 from tests.sweep.opening import MERGED, Killed, OpenStore, check, dying, locked, merge, same, status_report, until_done
 from tests.tiers import examples, slow
 
@@ -134,8 +135,14 @@ def test_a_lost_part_is_named_and_the_same_commands_go_on(model, tmp_path, sweep
     assert more.status.shape == (5,)  # and it goes on as any other
     with pytest.raises(SweepError, match="holds a store already"):
         merge(stores, tmp_path / "s")
-    several = LINK | {"sampling": {"n_sim": 9, "n_cat": 40}}  # blocks of each point
-    assert merge(run_parts(several, tmp_path / "l", [1, 3], 3), tmp_path / "l").attrs["lost_parts"] == "2 of 3"
+    several = LINK | {"title": "l", "sampling": {"n_sim": 9, "n_cat": 40}}  # blocks of each point
+    refined = opening.make_grid(opening.study_from_dict(several)).point(1)
+    several |= {"counts": {refined.digest.hex(): 30}}
+    stores = run_parts(several, tmp_path / "l", [1, 3], 3)
+    assert merge(stores, tmp_path / "l").attrs["lost_parts"] == "2 of 3"
+    merge([*stores, *run_parts(several, tmp_path / "l", [2], 3)], tmp_path / "l")
+    linksweep.run(several, tmp_path / "v", pool="serial")
+    require_same(tmp_path / "l", tmp_path / "v")
 
 
 @pytest.mark.parametrize("how", [*({"part": part} for part in NO_PARTS), *({"limits": one} for one in NO_LIMITS)])
