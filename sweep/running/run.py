@@ -37,7 +37,7 @@ from linksweep.sweep.stores.location import Where, holder, locked, writing
 from linksweep.sweep.stores.store import BLOCKS, CODE, OpenStore, Store, create_store, replace_store, seen, store_at
 from linksweep.sweep.studies.reader import problems_of_results
 from linksweep.sweep.studies.record import RECORD, as_recorded, begun_by, made_by, provenance, recorded, recorded_study
-from linksweep.sweep.studies.study import PART, Study
+from linksweep.sweep.studies.study import CONVENTION, PART, Study
 from linksweep.sweep.tables.columns import Flags, content_digest, rows_where
 from linksweep.sweep.tables.reader import from_frame
 
@@ -691,8 +691,8 @@ class Session:
         session = cls(where, accumulator, store)
         if whole is not study:
             session._asked = study
-            is_stored = store.attributes.get("study_digest") == whole.digest() and "points" in store.attributes
-            is_stored &= store.attributes.get(BLOCKS) == len(store.rows)
+            now = {"study_digest": whole.digest(), "error_convention": CONVENTION, BLOCKS: len(store.rows)}
+            is_stored = now.items() <= store.attributes.items()
             failed = wanted is not None and not store.failures.keys().isdisjoint(wanted)
             session.is_left_alone = is_stored and not failed and not accumulator.survey.pending.blocks
             missing = accumulator.missing_points()

@@ -16,7 +16,7 @@ from linksweep.sweep.contract import Experiment, Named, Output, Parameter, Point
 from linksweep.sweep.formatting import command_line, host, now
 from linksweep.sweep.functions.adapter import experiment_of_record, layout_of_record
 from linksweep.sweep.studies.reader import study_of_attributes
-from linksweep.sweep.studies.study import PART, POINT_TABLE, Study
+from linksweep.sweep.studies.study import CONVENTION, PART, POINT_TABLE, Study
 from linksweep.sweep.tables.columns import content_digest, sorted_json
 
 RECORD = "experiment_record"
@@ -170,7 +170,7 @@ def provenance(study: Study) -> dict[str, Any]:
         "seed": None if experiment.deterministic else sampling.seed,
         **study.numbers(),
         "precision": sampling.precision,
-        "error_convention": 2,  # catalogues are the independent samples: docs/errors.md
+        "error_convention": CONVENTION,
         POINT_TABLE: json.dumps({"parameters": list(points.names), **points.origin}) if points else None,
         "common_random_numbers": 1 if common else None,
         "shared_axes": json.dumps([axis for axis in study.axes if axis in experiment.shared]) if common else None,

@@ -623,6 +623,9 @@ class Form(Section):
     figure: FigureForm = FigureForm()
 
 
+# That of docs/errors.md; a run writes the results of a store of another one anew from its blocks.
+CONVENTION = 3
+
 # The attribute of a store that says which part of a study it holds.
 PART = "part"
 

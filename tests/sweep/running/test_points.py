@@ -12,7 +12,7 @@ from astropy.table import Table
 from hypothesis import example, given, settings, strategies as st
 
 import linksweep
-from tests.sweep.opening import POINT, POINT_TABLE, OpenStore, merge, same
+from tests.sweep.opening import POINT, POINT_TABLE, OpenStore, forge, merge, same
 from tests.tiers import examples, few, slow
 
 LINK = {"experiment": "linksweep.core.experiment:link", "sampling": {"n_sim": 60, "n_cat": 3, "seed": 8}}
@@ -67,6 +67,9 @@ def test_a_table_grows_at_its_end_and_is_refused_where_old_rows_change(tmp_path,
     one = run(model, store, points={"x": [1.0]})
     assert (one.y.values.tolist(), one.versions, one.code) == (more.y.values[:1].tolist(), more.versions, more.code)
     assert run(model, store, points={"x": [1.0, 2.0, 3.0]}).attrs == more.attrs  # what computed it, not this process
+    forge(store, lambda attributes: attributes.update(error_convention=2))
+    run(model, store, points={"x": [1.0]})  # derives the errors of all points anew
+    assert OpenStore(store).attributes["error_convention"] == more.error_convention
     same = run(model, store, points={"x": [1.0, 2.0, 3.0], "k": [1, 1, 1]})
     assert (same.y.values.tolist(), calls[-3:]) == (more.y.values.tolist(), [(1.0, 1), (2.0, 1), (3.0, 1)])
     assert run(model, store, points={"x": [9.0]}, fresh=True).y.values.tolist() == [1.9]
