@@ -219,15 +219,18 @@ def parse_axis(text: str, is_text: bool = False) -> Any:
 
     >>> parse_axis("14:20:0.5")
     {'start': 14, 'stop': 20, 'step': 0.5}
-    >>> parse_axis("amex,gaia")
-    ['amex', 'gaia']
+    >>> parse_axis("amex,'12:30:00'")
+    ['amex', '12:30:00']
     """
-    if len(parts := text.split(":")) == 3 and not is_text:
-        ends = {"start": parse_value(parts[0]), "stop": parse_value(parts[1])}
-        if (spacing := parts[2][:3]) in ("log", "lin"):
-            more = {"spacing": "log"} if spacing == "log" else {}
-            return {**ends, "num": parse_value(parts[2][3:]), **more}
-        return {**ends, "step": parse_value(parts[2])}
+    first, *parts = text.split(":")
+    if parts and not is_text and not isinstance(start := parse_value(first), str):
+        if len(parts) != 2:
+            words = "a range is START:STOP:STEP, or START:STOP:log5 for five values; texts with a colon are in quotes"
+            raise SweepError(f"{shown(text)}: {words}")
+        ends, spacing = {"start": start, "stop": parse_value(parts[0])}, parts[1][:3]
+        if spacing in ("log", "lin"):
+            return {**ends, "num": parse_value(parts[1][3:]), **({"spacing": "log"} if spacing == "log" else {})}
+        return {**ends, "step": parse_value(parts[1])}
     listed = parse_value(text)
     return listed if isinstance(listed, list) else _split(text, is_text)
 
