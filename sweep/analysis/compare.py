@@ -237,6 +237,10 @@ def _published_numbers(dataset: xr.Dataset) -> Iterator[Comparison]:
             yield judged(about, ours, number, 0.0 if is_exact else rounding, Rule() if is_exact else rule)
         if table.attrs.get("outside_grid") and not np.isfinite(table.values).any():
             yield judged(about, Measured({}, missing=_outside(table)), math.nan, math.nan, rule)
+    for name in json.loads(dataset.attrs.get("published_not_compared", "[]")):
+        source = json.loads(dataset.attrs["study_document"])["published"]["source"]
+        ours = Measured({}, missing=_part_with(dataset, name)[1])
+        yield judged(_about(dataset, name, name, "", source), ours, math.nan, math.nan, Rule())
 
 
 def _outside(table: xr.DataArray) -> str:
@@ -328,8 +332,6 @@ def remarks(dataset: xr.Dataset) -> list[str]:
     tables = {name.removesuffix("_published"): dataset[name] for name in published}
     compared = dict.fromkeys([*tables, *(claim.quantity().variable for claim in quantity.claims_of(dataset))])
     sentences = [part for name in compared for part in quantity.unknown_parts(dataset, name)]
-    unknown = json.loads(dataset.attrs.get("published_not_compared", "[]"))
-    sentences += [f"{name}: is not one number at each point, and published ones are not compared" for name in unknown]
     return [*sentences, *(f"{name}: {words}" for name, table in tables.items() if (words := _outside(table)))]
 
 
