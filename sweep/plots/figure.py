@@ -195,7 +195,8 @@ def _draw(dataset: xr.Dataset, kind: str, variables: list[str], over: Sequence[s
     axes = [str(n) for n, c in dataset.coords.items() if not c.dims and not str(n).endswith("_unit")]
     shared = style.values_text(dataset, {name: quantity.listed(dataset, name, [])[0] for name in axes})
     words = f"INCOMPLETE: {quantity.lacking(dataset)}" if _is_unfinished(dataset) else ""
-    figure.set_label(title := str(dataset.attrs.get("title", "")))
+    title = str(dataset.attrs.get("title", ""))
+    figure.set_label("; ".join(filter(None, (title, style.plain(shared)))))
     style.complete(figure, "\n".join(filter(None, (title, shared, words))))
     return figure
 

@@ -492,8 +492,10 @@ def panels_of(figure: Figure) -> list[Axes]:
 
 def complete(figure: Figure, title: str) -> None:
     """Write the title of a figure, in lines that fit it, and the legend if it has none yet, and give its panels the
-    light grid and ticks that all pictures have, except for maps, whose colours it would cover.
+    light grid and ticks that all pictures have, except for maps, whose colours it would cover.  The title is also the
+    figure's label, for the caption, unless it has one.
     """
+    figure.set_label(figure.get_label() or title)
     for artist in figure.findobj():
         points = artist.get_xdata() if isinstance(artist, lines.Line2D) else ()
         places = artist.get_offsets() if isinstance(artist, collections.PathCollection) else ()
@@ -577,7 +579,7 @@ def description(figure: Figure, dataset: xr.Dataset) -> str:
     panels, signs = panels_of(figure), list(legend_entries(figure))
     labels = (str(artist.get_label()) for axes in panels for artist in labelled(axes))
     signs += [label.removeprefix(AT_END) for label in labels if label.startswith(AT_END)]
-    bars = [axes.get_ylabel() for axes in figure.axes if axes not in panels and axes.get_ylabel()]
+    bars = [axes.get_ylabel() or axes.get_xlabel() for axes in figure.axes if axes.get_label() == "<colorbar>"]
     drawn = (" against ".join(filter(None, [_label(axes, "y"), _label(axes, "x")])) or "a picture" for axes in panels)
     titles = formatting.first_of([title for axes in panels if (title := axes.get_title())], MOST_DESCRIBED, "; ")
     parts = [

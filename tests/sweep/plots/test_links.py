@@ -9,7 +9,7 @@ from matplotlib.quiver import Quiver
 from scipy import stats
 
 import linksweep
-from linksweep.sweep.plots import link as sky
+from linksweep.sweep.plots import link as sky, style
 
 
 @pytest.fixture(scope="module")
@@ -141,9 +141,9 @@ def test_the_sky_of_a_point_is_its_catalogue(store_of):
     dataset = sky.catalogue_of_point(store_of("quasars"), ["model=gaia", "v_max=15"])
     assert dataset.sizes["object"] == 88
     assert dataset["v_mag"].max() <= 15.0
-    figure = sky.sky_figure(dataset)
-    assert "the 88 objects of one catalogue, model=gaia, v_max=15" in " ".join(figure.get_suptitle().split())
-    assert figure.axes[1].get_xlabel() == "$V$ [mag]"
+    said = style.caption_and_description(sky.sky_figure(dataset), dataset)
+    assert "the 88 objects of one catalogue, model=gaia, v_max=15." in said
+    assert "Colours: V [mag]." in said
     again = sky.catalogue_of_point(store_of("quasars"), ["model=gaia,v_max=15"])
     assert np.array_equal(again["ra"], dataset["ra"])
 

@@ -231,11 +231,11 @@ def test_a_study_without_axes_has_a_figure(tmp_path, value):
 
 @pytest.mark.parametrize("known", [False, True])
 def test_a_caption_has_the_signs_that_are_drawn_and_symbols_as_they_are(known):
-    ds = results([1.0, 2.0, 3.0]).assign(y_predicted=("x", [1.0, 2.0, 3.0]))
+    ds = results([1.0, 2.0, 3.0]).assign(y_predicted=("x", [1.0, 2.0, 3.0])).assign_coords(cut=2.5)
     ds = ds.assign(y_catalogue_error=("x", np.full(3, 0.1 if known else np.nan))).assign_attrs(title="5 $_a to 10 $")
     text = style.caption_and_description(linksweep.plot(ds), ds)
     assert ("errors of the predictions" in text) == known
-    assert (text[:14], "y against x." in text) == ("5 $_a to 10 $.", True)
+    assert (text[:26], "y against x." in text) == ("5 $_a to 10 $; cut = 2.5. ", True)
 
 
 def test_labels_that_are_no_names_say_of_which_axis_they_are(tmp_path):
