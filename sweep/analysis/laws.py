@@ -193,7 +193,7 @@ def lines(
         if 0 < n < least:
             raise SweepError(f"at least {least} points are needed along {over}; there are {n}{made.at(line)}")
     if not any(len(line.x) for line in made.lines):
-        raise SweepError("every point is excluded by the study")
+        raise SweepError("the study has no point there")
     return made
 
 

@@ -296,7 +296,7 @@ def part_of(store: "Location", at: At, excluded_too: bool = False, running: bool
     """Give the part of a store's dataset that ``--at`` names, with values so far if ``running``; errors in the block
     name the store unless they say what they are about.
 
-    Raises SweepError where the study excludes all of that part, unless ``excluded_too``.
+    Raises SweepError where the study has no point in that part, unless ``excluded_too``.
     """
     from linksweep.sweep.analysis.quantity import ERROR_SUFFIXES, array_outputs, select, with_running
     from linksweep.sweep.contract import Status
@@ -312,8 +312,7 @@ def part_of(store: "Location", at: At, excluded_too: bool = False, running: bool
                 # A place along an output's own dimension is for that output.
                 part[name].attrs["headline"] = 1
         if at and not excluded_too and (part["status"].values == Status.EXCLUDED).all():
-            points = "this point" if part["status"].size == 1 else "all of these points"
-            raise linksweep.SweepError(f"--at {','.join(at)}: the study excludes {points}")
+            raise linksweep.SweepError(f"--at {','.join(at)}: the study has no point there")
         yield part
     except linksweep.SweepError as error:
         if error.where:

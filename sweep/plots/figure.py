@@ -113,7 +113,7 @@ def _study_figure(dataset: xr.Dataset, kind: str | None, variables: list[str], o
     if sampled(dataset) is not None and (kind == "scatter" or (kind is None and only_samples)):
         return _draw(dataset.squeeze(single), "scatter", variables, over)
     if (dataset["status"].values == Status.EXCLUDED).all():
-        raise SweepError("every point is excluded by the study")
+        raise SweepError("the study has no point there")
     names = variables or [quantity.main_quantity(dataset)]
     for name in names:
         quantity.require_quantity(dataset, name)

@@ -167,7 +167,7 @@ def law_of(dataset, variable="width", over="n"):
         (law_of(grid(N, x=N - 10.0)), "a power law needs n above 0; there is 0"),
         (law_of(grid([1.0, np.nan, 1.0, 1.0, 1.0])), "width is not a finite number at model=old, n=20"),
         (law_of(UNDONE), "1 missing and 2 failed of"),
-        (law_of(grid(N, status=np.full((2, 5), EXCLUDED))), "every point is excluded by the study"),
+        (law_of(grid(N, status=np.full((2, 5), EXCLUDED))), "the study has no point there"),
         *((law_of(without_inverse(x)), "positive definite: width over n at model=new") for x in (1.0, np.nan, np.inf)),
         (lambda: fit_levelling(grid(1.0 / N), "width", "n", fall=5.0), "fall = 5: must be above 0 and below 1"),
         (lambda: fit_levelling(grid(N).isel(n=[0, 1, 2]), "width", "n"), "4 points are .* n; there are 3 at model=old"),
