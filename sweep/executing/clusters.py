@@ -124,7 +124,7 @@ def _client_of(file: "ClusterFile", where: str) -> Iterator[Client]:
             client = stack.enter_context(cluster.get_client())
         except SweepError as error:
             raise SweepError(error.problems, where) from error
-        except Exception as error:  # whatever a cluster's class makes of its options
+        except (Exception, SystemExit) as error:  # whatever a cluster's class makes of its options
             cause = _first_cause(error)
             raise SweepError(f"{file.class_name}: {type(cause).__name__}: {cause}", where) from error
         yield client
@@ -317,13 +317,20 @@ ADAPT = ("minimum", "maximum", "minimum_jobs", "maximum_jobs", "interval", "wait
 Count = Annotated[int, Field(strict=True, ge=1)]
 
 
+def _usable(options: dict[str, Any]) -> dict[str, Any]:
+    """Return the arguments of a cluster's class; raises ValueError where Dask would fail or wait for ever."""
+    if options.get("asynchronous") or (isinstance(n := options.get("n_workers"), int) and n < 0):
+        raise ValueError("options: n_workers must be >= 0, and asynchronous is not for runs")
+    return options
+
+
 class ClusterFile(BaseModel, extra="forbid"):
     """What a file says of a cluster: its class, the arguments of the class and of its `scale` or `adapt`."""
 
     class_name: Annotated[str, AfterValidator(lambda name: cluster_class(name) and name)] = Field(
         alias="class", pattern=r"^[^\W\d]\w*(\.[^\W\d]\w*)+$"
     )
-    options: dict[str, Any] = {}
+    options: Annotated[dict[str, Any], AfterValidator(_usable)] = {}
     scale: Annotated[dict[str, Count], BeforeValidator(lambda n: n if isinstance(n, dict) else {"n": n})] | None = None
     adapt: dict[str, Any] | None = Field(None, validate_default=True)
 
@@ -383,7 +390,7 @@ def cluster_class(name: str) -> Any:
         kind = getattr(importlib.import_module(module), attribute)
         if signal.getsignal(signal.SIGINT) is not answer:  # dask_jobqueue answers Ctrl-C by sys.exit once imported
             signal.signal(signal.SIGINT, answer)
-    except Exception as error:  # whatever a module raises while it is imported
+    except (Exception, SystemExit) as error:  # whatever a module raises while it is imported
         missing = isinstance(error, ModuleNotFoundError) and error.name == "dask_jobqueue"
         hint = "; pip install 'linksweep[jobqueue]'" if missing else ""
         raise ValueError(f"class = {name!r}: {type(error).__name__}: {error}{hint}") from error
