@@ -142,8 +142,8 @@ def _is_called_by_the_collector(frame: FrameType | None) -> bool:
 
 @contextmanager
 def watched() -> Iterator[Interruptions]:
-    """Let the first SIGINT, SIGTERM or SIGHUP raise KeyboardInterrupt in this block, and turn that into
-    RunInterruptedError at its end.
+    """Let the first SIGINT, SIGTERM or SIGHUP raise KeyboardInterrupt in this block, and turn that, or an error that
+    came first, as of a request that took long, into RunInterruptedError at its end.
 
     Only the main thread can handle signals: in another thread they are not watched.
     """
@@ -151,16 +151,11 @@ def watched() -> Iterator[Interruptions]:
     try:
         with interruptions.watched() if is_main else nullcontext():
             yield interruptions
+    except RunInterruptedError:
+        raise
     except BaseException as stop:
-        if not _is_interrupt(stop):
+        first = stop.__cause__ if isinstance(stop, RuntimeError) else stop  # Python makes one of one in a class body
+        is_late = interruptions.received is not None and isinstance(stop, Exception)
+        if not is_late and not isinstance(first, KeyboardInterrupt):
             raise
         raise RunInterruptedError(interruptions.received or signal.SIGINT) from stop
-
-
-def _is_interrupt(error: BaseException) -> bool:
-    """Return whether an exception comes from an interrupt that no block has turned into RunInterruptedError yet; Python
-    turns one in a class body into a RuntimeError.
-    """
-    return (isinstance(error, KeyboardInterrupt) and not isinstance(error, RunInterruptedError)) or (
-        isinstance(error, RuntimeError) and isinstance(error.__cause__, KeyboardInterrupt)
-    )

@@ -1,6 +1,8 @@
 """Stores in a bucket, with a real server on this machine and faults on the way to it."""
 
+import os
 import random
+import signal
 import socket
 import threading
 from http.client import HTTPConnection
@@ -129,10 +131,13 @@ def test_requests_that_fail_are_repeated(bucket, coins, wanted, through, kind):
 
 
 @pytest.mark.slow  # requests are repeated for seconds
-def test_a_connection_that_breaks_for_good_keeps_what_was_finished(bucket, coins, wanted, through, monkeypatch):
+@pytest.mark.parametrize("error", [SweepError, KeyboardInterrupt])  # Ctrl-C while a request is repeated
+def test_a_connection_that_breaks_for_good_keeps_what_was_finished(bucket, coins, wanted, through, monkeypatch, error):
     monkeypatch.setattr(location, "TIMEOUT", location.TIMEOUT / 10)
-    proxy = through(lambda number: "reset" if len(proxy.requests) > 60 else None)
-    with pytest.raises(SweepError, match=r"cannot be written: .* not answer as it should.* same command goes on"):
+    interrupt = {60: lambda: os.kill(os.getpid(), signal.SIGINT)} if error is KeyboardInterrupt else {}
+    through(lambda number: "reset" if interrupt.get(number, bool)() or number >= 60 else None)
+    match = "same call" if interrupt else r"cannot be written: .* not answer as it should.* same command goes on"
+    with pytest.raises(error, match=match):
         run(coins, f"{bucket}/s.zarr", OFTEN)
     through()
     assert 0 < len(existing_store(f"{bucket}/s.zarr", coins).rows) < 6 * 4
