@@ -156,7 +156,7 @@ def _sources(places: Sequence[Where], trust: bool) -> list[_Source]:
         keys = tuple(ledger.rows)
         sources.append(_Source(location, kept, replace(study, part=part), layout, ledger.dtype, keys, ledger.failures))
     if not sources:
-        raise SweepError(why, f"{places[0]}{f' and {len(places) - 1:,} more' if places[1:] else ''}")
+        raise SweepError(why, ", ".join(map(str, places[:3])))
     # Of stores that are no parts first one whose experiment has the parameters of all.
     return sorted(sources, key=lambda one: (one.study.part or Part(0, 0), -len(one.study.experiment.parameters)))
 

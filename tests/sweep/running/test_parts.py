@@ -181,7 +181,7 @@ def test_what_does_not_belong_together_is_refused_and_nothing_is_written(three, 
     refused([tmp_path / "w", three[0]], "is no part of a study, and .* is part 1/3")
     shutil.copytree(three[1], tmp_path / "copy")
     refused([*three, tmp_path / "copy"], "is part 2/3, and so is")
-    refused([tmp_path / "nothing"], "no store there")
+    refused([], "no store there")
     refused(three, "is the place of a part", to="d.part-1-of-3")
     refused(three[:1], "holds a store already", to="w")
     with pytest.raises(SweepError, match=r"with -o\n.*part: 1/3 in the store, the whole in the study"):
