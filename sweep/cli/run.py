@@ -102,7 +102,9 @@ def _log_file(context: click.Context, parameter: click.Parameter, value: str | N
         with path.open("rb") if path.is_file() else io.BytesIO() as there:
             if re.match(BEGINS[str(parameter.name)], there.read(40)) is None:
                 raise ValueError(f"it exists, and is no file of --{parameter.name}")
-        return context.with_resource(path.open("a", encoding="utf-8", errors="backslashreplace", buffering=1))
+        # Nothing stays in a buffer: on a full disk it could not be written at the end, either.
+        file = io.TextIOWrapper(path.open("ab", 0), "utf-8", "backslashreplace", write_through=True)
+        return context.with_resource(file)
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise click.BadParameter(f"{value!r} cannot be written: {reason}") from error

@@ -515,13 +515,14 @@ class Lines(logging.Handler):
         self.setFormatter(logging.Formatter(form))
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Write a line; if the terminal is closed, nobody can read it and the error is ignored."""
+        """Write a line; if the terminal is closed, nobody can read it, and of a full disk there is one warning."""
         text = harmless(self.format(record))
         try:
             print(text if self._file is None else without_secrets(text), file=self._file or sys.stderr, flush=True)
-        except (OSError, ValueError):
+        except (OSError, ValueError) as error:
             if self._file is not None:
-                self.handleError(record)
+                self.setLevel(sys.maxsize)
+                SENTENCES.warning("warning: the log file cannot be written: %s", error)
 
 
 class NotebookProgress(TerminalProgress):

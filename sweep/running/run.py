@@ -811,7 +811,7 @@ class Session:
                 with writing(writer.store.location):
                     writer.store.location.clear()  # as if nothing had been begun
                 raise
-            with suppress(SweepError):
+            with suppress(SweepError, OSError):  # the latter of Zarr, where no more files can be opened
                 writer.stop()
             writer.require_whole(error.problems if isinstance(error, SweepError) else ())
             raise

@@ -79,7 +79,8 @@ def test_streams_that_nobody_reads_are_no_problem(store, command, redirection):
 def test_a_run_whose_streams_are_closed_or_full_is_kept(link_study, tmp_path):
     run = ("run", link_study, "--set", "n_sim=10", "--set", "n_cat=1", "--quiet", "-o")
     assert shell(">/dev/full", *run, tmp_path / "full.zarr") == (2, "", SAID)
-    assert shell("<&- >&- 2>&-", *run, tmp_path / "s.zarr") == (0, "", "")
+    full = ("--log", "/dev/full", "--events", "/dev/full")
+    assert shell("<&- >&- 2>&-", *run, tmp_path / "s.zarr", *full) == (0, "", "")
     for name in ("full.zarr", "s.zarr"):
         assert (linksweep.open(tmp_path / name).attrs["complete"], shell("", "check", tmp_path / name)[0]) == (1, 0)
 
