@@ -57,9 +57,8 @@ LAST_WORDS = 4096
 # Seconds that children get to end by themselves: threads and files that an experiment leaves may keep them.
 END_S = 1.0
 
-# Libraries with threads or devices of their own, for which a fork of a process that used them may wait for ever;
-# obstore is that of stores in a bucket.
-NOT_TO_BE_FORKED = ("jax", "torch", "tensorflow", "cupy", "obstore")
+# Libraries with threads or devices of their own, for which a fork of a process that used them may wait for ever.
+NOT_TO_BE_FORKED = ("jax", "torch", "tensorflow", "cupy")
 
 # Freed memory that a child's allocator keeps: arrays of some MB are made anew for each catalogue, and giving them back
 # to the system each time costs a fifth of the run.

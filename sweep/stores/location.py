@@ -48,6 +48,9 @@ DOWN: dict[frozenset[tuple[str, str]], tuple[float, str]] = {}
 does not wait for each of its last requests.
 """
 
+USED_BY: set[int] = set()
+"""The process that has made requests: a fork of it has none of obstore's threads, and would wait for ever."""
+
 ADDRESS = re.compile(r"s3:/{1,2}(?P<bucket>[a-z0-9][a-z0-9.-]{1,61}[a-z0-9])/+(?P<prefix>[^/].*?)/*")
 
 ATTEMPTS, PAUSE_S = 100, 0.02
@@ -425,6 +428,7 @@ class Bucket:
         begun = begun or time.monotonic()
         if why := _given_up():
             raise OSError(why)
+        USED_BY.add(os.getpid())
         try:
             yield
         except (exceptions.AlreadyExistsError, exceptions.PreconditionError) as error:
@@ -455,6 +459,8 @@ def _explained(text: str, is_refused: bool) -> str:
 
 
 def _given_up() -> str:
+    if USED_BY - {os.getpid()}:
+        return "a fork of a process that has used a bucket cannot use one"
     until, why = DOWN.get(_settings(), (0.0, ""))
     return why if time.monotonic() < until else ""
 

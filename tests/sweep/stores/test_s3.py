@@ -99,7 +99,7 @@ def test_a_store_in_a_bucket_is_that_in_a_folder(bucket, coins, wanted, tmp_path
     names = located(store).keys()
     assert names == located(tmp_path / "wanted.zarr").keys()
     assert located(f"{bucket}/results").keys() == [f"s.zarr/{name}" for name in names]  # no lock is left
-    large = {"axes": {"k": [1, 2]}, "workers": 2}  # the arrays are written by the workers
+    large = {"axes": {"k": [1, 2]}, "workers": 2}  # forks of a process that has used the bucket
     same(*(linksweep.run(lambda k: [float(k)] * 600_000, to, **large) for to in (f"{bucket}/l.zarr", tmp_path / "l")))
 
 
