@@ -181,8 +181,8 @@ def _heaviest(point: Point, errors: Array) -> str | None:
     if max(position, motion) <= LARGE_SHARE:
         return None
     said = f"file: {kind.row_name(point, heaviest)} holds {100 * motion:.0f} % of the weight of all proper motions and"
-    said += f" {100 * position:.0f} % of that of all positions, of {len(share)} objects; is its magnitude right?"
-    return f"{said}  v_min leaves out the bright ones"
+    said += f" {100 * position:.0f} % of that of all positions, of {len(share)} objects; are its errors and magnitude"
+    return f"{said} right?  v_min leaves out the bright ones"
 
 
 def unused(point: Point) -> dict[str, str]:

@@ -199,10 +199,10 @@ def _place(name: str, raw: Any, context: Context) -> Value:
 
 
 def _variable(name: str, context: Context) -> str:
-    outputs = {output.name: output for output in context.experiment.outputs}
+    outputs = {output.name: output for output in context.experiment.outputs if output.name not in context.axes}
     if context.experiment.undeclared and name not in context.experiment.defaults():
         return name  # what it is not is said where numbers are compared
-    if name not in outputs or name in context.axes:
+    if name not in outputs:
         raise ValueError(f"{shown(name)} is no output{suggest(name, list(outputs))}")
     if len(dims := outputs[name].dims) > 1:
         raise ValueError(f"{name} has the dimensions {', '.join(dims)}; at most one is allowed")
