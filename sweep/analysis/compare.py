@@ -20,7 +20,7 @@ from linksweep.sweep.analysis import quantity
 from linksweep.sweep.contract import FEW, Status
 from linksweep.sweep.formatting import first_of, in_ascii, prefixed, rounded, to_json, units_of, with_error
 from linksweep.sweep.studies.record import FUNCTION
-from linksweep.sweep.studies.study import Derived, Ratio, Reading, Slope, printed_rounding
+from linksweep.sweep.studies.study import POINT, Derived, Ratio, Reading, Slope, printed_rounding
 from linksweep.sweep.table_writer import Column, Table
 
 if TYPE_CHECKING:
@@ -92,9 +92,9 @@ def _measured(dataset: xr.Dataset, claim: Derived, derived: Slope | Ratio | Read
     elif isinstance(derived, Slope):
         from linksweep.sweep.analysis import laws  # of the three only this is fitted
 
-        if derived.over not in dataset.coords:
+        fixed, axis = _fixed(dataset, claim.where), dataset.coords.get(derived.over)
+        if axis is None or (axis.dims == (POINT,) and len(quantity.varied_parameters(dataset)) > 1):
             raise quantity.OutsideGridError(f"{derived.over} is not an axis of this store")
-        fixed = _fixed(dataset, claim.where)
         along = laws.lines_of(part.isel(fixed), name, derived.over)
         for line in along.lines:
             yield _slope(line, quantity.place_at(dataset, fixed | dict(line.index)), derived.over, laws.power_law)
@@ -128,7 +128,10 @@ def _part_with(dataset: xr.Dataset, name: str, component: str | float | None = N
 
 
 def _fixed(dataset: xr.Dataset, where: Mapping[str, Any]) -> dict[str, int]:
-    return {dimension: hits[0] for dimension, hits in quantity.indices(dataset, where).items()}
+    there = quantity.indices(dataset, where)
+    if any(len(hits) > 1 for hits in there.values()):
+        raise quantity.OutsideGridError(f"several points of the store have {quantity.place_in_words(where)}")
+    return {dimension: hits[0] for dimension, hits in there.items()}
 
 
 def _values(dataset: xr.Dataset, name: str, fixed: Mapping[str, int]) -> Iterator[At]:

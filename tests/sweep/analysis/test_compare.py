@@ -165,7 +165,7 @@ def test_a_claim_of_a_law_for_each_model(tmp_path):
     assert (comparison.where, comparison.verdict) == ({"model": "steep"}, "reproduced")
 
 
-def test_a_claim_about_points_that_are_not_done_not_finite_or_not_there():
+def test_a_claim_about_points_that_are_not_done_not_finite_or_not_there(tmp_path):
     status = np.full((2, len(N)), DONE, np.int8)
     status[1, 0] = MISSING
     value = np.array([[1.0] * 5, [np.nan, 0.0, 1.0, 1.0, 1.0]])
@@ -180,6 +180,11 @@ def test_a_claim_about_points_that_are_not_done_not_finite_or_not_there():
     ):
         comparison = only(grid(1.0, claims=[claim(**keys)]))
         assert (comparison.verdict, comparison.reason) == ("incomplete", reason)
+    rows = {"a": [1.0, 2.0, 2.0], "b": [1, 1, 2]}  # a table has no lines, and several points at one place
+    table = linksweep.run(lambda a, b: {"w": a * b}, tmp_path / "t", points=rows, pool="serial")
+    claims = [claim(slope={"variable": "w", "over": "a"}), claim(value={"variable": "w", "at": {"a": 2.0}})]
+    reasons = ["a is not an axis of this store", "several points of the store have a=2"]
+    assert [c.reason for c in compare(table.assign_attrs(claims=json.dumps(claims)))] == reasons
 
 
 def test_a_component_of_a_result():
