@@ -341,7 +341,7 @@ def _causes(problem: Problem, part: _Part, ratio: float) -> Iterator[Cause]:
         free = {0.6 * steps[0]: f"in steps of {steps[0]:g} yr, in which stars move by more than the errors"} | free
     for years, words in free.items():
         along, across = (_ratio(_applied(problem, part, _freed(problem, turn, years))) for turn in (False, True))
-        if explains(along, ratio) and (not explains(across, ratio) or along < 0.5 * across):
+        if explains(along, ratio) and across > max(GOOD, 2.0 * along):
             yield Cause(f"epochs of {part.words} {words}", along, 1)
             return
 

@@ -40,8 +40,8 @@ ERRORS = ("formal", "scaled", "jackknife", "cells", "bootstrap", "sandwich")
 # How often noise is estimated from what a clip keeps with it.
 ROUNDS = 20
 
-# What notes say of that which is in the tables, but not in the link.
-NOT_USED = ("not used", "not measured", "left out", "match no source", "keeps")
+# What notes say of that which is in the tables but not in the link, or too small to be solved with.
+NOT_USED = ("not used", "not measured", "left out", "match no source", "keeps", "no instrument has")
 
 # A chi2 that is lower by so much with the opposite sign of what is known is no chance.
 WORSE = 10.0
