@@ -243,6 +243,7 @@ def indices_of_grid(
         rng = np.random.default_rng(seed)
         drawn = (values + rng.standard_normal(values.shape) * np.sqrt(noise) for _ in range(RESAMPLES))
         variance += np.var([_indices(one, 2.0 * noise, equal) for one in drawn], axis=0, ddof=1)
+        estimated[np.isnan(variance)] = np.nan  # the variation might be noise: one of them has no more
     sigma = np.where(np.isfinite(estimated) & are_known, np.sqrt(variance), np.nan)
     return estimated[0], sigma[0], estimated[1], sigma[1]
 

@@ -167,6 +167,8 @@ def test_what_has_no_indices_says_why(tmp_path):
     assert ("flat does not vary" in flat.attrs["notes"], np.isnan(flat["first"]).all()) == (True, True)
     with pytest.raises(SweepError, match="flat does not vary: there are no indices to draw"):
         linksweep.plot(flat)
+    for noise in np.random.default_rng(0).standard_normal((20, 3, 3)):
+        assert np.isnan(indices_of_grid(noise, 1.0, [False, False])).all()
     excluding = {"experiment": f, "axes": {"a": [0.1, 0.2], "b": [1.0, 2.0, 3.0]}, "exclude": [{"a": 0.1, "b": 1.0}]}
     ds = run(excluding, tmp_path / "e.zarr")
     sometimes = points | {"ranges": {"a": {"values": [0.1, 0.2]}, "b": [0, 1]}}
