@@ -492,10 +492,8 @@ def panels_of(figure: Figure) -> list[Axes]:
 
 def complete(figure: Figure, title: str) -> None:
     """Write the title of a figure, in lines that fit it, and the legend if it has none yet, and give its panels the
-    light grid and ticks that all pictures have, except for maps, whose colours it would cover.  The title is also the
-    figure's label, for the caption, unless it has one.
+    light grid and ticks that all pictures have, except for maps, whose colours it would cover.
     """
-    figure.set_label(figure.get_label() or title)
     for artist in figure.findobj():
         points = artist.get_xdata() if isinstance(artist, lines.Line2D) else ()
         places = artist.get_offsets() if isinstance(artist, collections.PathCollection) else ()
