@@ -18,7 +18,7 @@ import numpy as np
 
 from linksweep.sweep.analysis import quantity
 from linksweep.sweep.contract import FEW, Status
-from linksweep.sweep.formatting import first_of, in_ascii, prefixed, rounded, to_json, units_of, with_error
+from linksweep.sweep.formatting import first_of, in_ascii, in_short, prefixed, rounded, to_json, units_of, with_error
 from linksweep.sweep.studies.record import FUNCTION
 from linksweep.sweep.studies.study import POINT, Derived, Ratio, Reading, Slope, printed_rounding
 from linksweep.sweep.table_writer import Column, Table
@@ -290,15 +290,17 @@ def judged(about: Mapping[str, Any], ours: Measured, number: float, rounding: fl
     detectable = allowance + allowed + FINDS * ours.error
     off = abs(ours.value - number) - ARITHMETIC * abs(number)
     most = min(MOST_UNSEEN * abs(number) if number else math.inf, math.inf if null is None else abs(number - null))
-    apart = f"more than {most:.3g}, which the verdict must find"
-    passes, passing = rounding + allowed, f"our Monte-Carlo error lets pass a deviation of {detectable:.3g}, {apart}"
+    passes = rounding + allowed
+    shown, passed, found = (in_short(one, 0.0, about["unit"]) for one in (most, passes, detectable))
+    apart = f"more than {shown}, which the verdict must find"
+    passing = f"our Monte-Carlo error lets pass a deviation of {found}, {apart}"
     cases: list[tuple[bool, Verdict, str]] = [  # the first that is true
         (bool(ours.missing), "incomplete", ours.missing),
         (not math.isfinite(ours.value), "NOT reproduced", ours.broken or "the result is not a finite number"),
         (bool(not_comparable), "not comparable", not_comparable),
         (not math.isfinite(ours.error), "incomplete", "the error of our number is not known (docs/errors.md)"),
         (off > allowance + allowed, "NOT reproduced", ""),
-        (passes > most, "not comparable", f"rounding and tolerance let pass a deviation of {passes:.3g}, {apart}"),
+        (passes > most, "not comparable", f"rounding and tolerance let pass a deviation of {passed}, {apart}"),
         (detectable > most, "incomplete", f"{passing}: more realisations or catalogues are needed"),
         (off > allowance, "within tolerance", f"{100.0 * tolerance:g} %: {reason}"),
         (True, "reproduced", ""),

@@ -28,7 +28,7 @@ JUDGED = [  # value, error, published and what else the claim says; the verdict,
     (0.6, np.nan, "0.60", {}, "incomplete", "not known"),
     *((*numbers, WIDE, "within tolerance", "7 %: curves by eye") for numbers in WITHIN),
     *((0.648, 0.0, "0.60", WIDE, "NOT reproduced", ""), (0.604, 0.0, "0.60", WIDE, "reproduced", "")),
-    (90.6, 0.5, "5e2", WIDE | {"tolerance": 0.9}, "not comparable", "let pass a deviation of 500, more than 167"),
+    (90.6, 0.5, "5e2", WIDE | {"tolerance": 0.9}, "not comparable", "a deviation of 500 mas, more than 167 mas"),
     (5.0, 0.5, "5e2", WIDE | {"tolerance": 0.5}, "NOT reproduced", ""),
     (90.6, 0.5, "5e2", {"not_comparable": SAID}, "not comparable", SAID),
     # an effect must be told from none
@@ -36,7 +36,7 @@ JUDGED = [  # value, error, published and what else the claim says; the verdict,
     (1.018, 0.011, "1.1", {"null": 1.0}, "incomplete", "needed"),  # the tenth is claimed, not the one
     (1.018, 0.005, "1.1", {"null": 1.0}, "NOT reproduced", ""),
     (1.09, 0.005, "1.1", {"null": 1.0}, "reproduced", ""),
-    (1.09, 0.005, "1.1", {"null": 1.06}, "not comparable", "more than 0.04"),
+    (1.09, 0.005, "1.1", {"null": 1.06}, "not comparable", "more than 40.0 uas"),
 ]
 GOOD = f"""
 title = "Coins"
