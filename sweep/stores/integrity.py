@@ -318,7 +318,6 @@ class Attributes(_Part):
     failures: Json[Texts] = {}
     warnings: Json[list[str]] = []
     versions: Json[Object] = {}
-    defined: Json[dict[str, Texts]] = {}
     claims: Json[list[Object]] = []
     conclusion: Json[Object] | None = None
     shared_axes: Json[list[str]] = []

@@ -604,9 +604,7 @@ def decode(root: Mapping[str, Any], location: Location) -> "xr.Dataset":
         # Of forged documents: each codec of Zarr raises its own.
         raise ValueError(" ".join(str(error).split()) or type(error).__name__) from error
     dataset.attrs = seen(root["attributes"])
-    # a store of an earlier version does not label the second points of covariances
-    axes = {d: d.removesuffix("_other") for d in map(str, dataset.dims) if d not in dataset.coords}
-    return dataset.assign_coords({d: (d, dataset[a].values) for d, a in axes.items() if a in dataset.coords})
+    return dataset
 
 
 def with_gaps(whole: NDArray[np.int64], fill: int) -> NDArray[Any]:

@@ -17,7 +17,7 @@ from linksweep.sweep.formatting import command_line, host, now
 from linksweep.sweep.functions.adapter import experiment_of_record, layout_of_record
 from linksweep.sweep.studies.reader import study_of_attributes
 from linksweep.sweep.studies.study import CONVENTION, PART, POINT_TABLE, Study
-from linksweep.sweep.tables.columns import content_digest, sorted_json
+from linksweep.sweep.tables.columns import sorted_json
 
 RECORD = "experiment_record"
 """The attribute of a store that holds the record, as JSON."""
@@ -150,11 +150,6 @@ def provenance(study: Study) -> dict[str, Any]:
     """Return the attributes of a result that say what it is of; plain strings and numbers."""
     experiment, sampling, points = study.experiment, study.sampling, study.points
     common = sampling.common_random_numbers
-    defined = {
-        parameter.name: {named.name: content_digest(named) for named in parameter.defined}
-        for parameter in experiment.parameters
-        if parameter.defined
-    }
     about = [claim.model_dump(exclude_none=True, exclude_defaults=True) for claim in study.claims]
     conclusion = study.conclusion
     attributes: dict[str, Any] = {
@@ -178,7 +173,6 @@ def provenance(study: Study) -> dict[str, Any]:
         CITATION: json.dumps(experiment.citation) if experiment.citation else None,
         "study_document": json.dumps(study.document),
         "started": now(),
-        "defined": json.dumps(defined) if defined else None,
         "published_digest": digest_of(str(study.published.rows)) if study.published else None,
         "claims": json.dumps(about) if about else None,
         "conclusion": conclusion.model_dump_json(exclude_none=True, exclude_defaults=True) if conclusion else None,
