@@ -692,10 +692,10 @@ class Session:
         if whole is not study:
             session._asked = study
             now = {"study_digest": whole.digest(), "error_convention": CONVENTION, BLOCKS: len(store.rows)}
-            # claims, published numbers and the like may be other ones, which changes no point
-            now |= {name: v for name, v in provenance(whole).items() if name == "published_digest"}
-            written = json.loads(store.attributes["study_document"])
-            is_same = written | json.loads(json.dumps(dict(whole.sections))) == written
+            # What changes no point may be other than in the store, such as a claim, but for the name of a curve.
+            now |= {"published_digest": whole.published.digest} if whole.published else {}
+            sections = json.loads(json.dumps({key: one for key, one in whole.sections.items() if key != "define"}))
+            is_same = sections.items() <= json.loads(store.attributes["study_document"]).items()
             is_stored = is_same and now.items() <= store.attributes.items()
             failed = wanted is not None and not store.failures.keys().isdisjoint(wanted)
             session.is_left_alone = is_stored and not failed and not accumulator.survey.pending.blocks

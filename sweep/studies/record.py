@@ -11,7 +11,7 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
-from linksweep.sweep.code import Code, SourceFunction, digest_of, version_of
+from linksweep.sweep.code import Code, SourceFunction, version_of
 from linksweep.sweep.contract import Experiment, Named, Output, Parameter, Point, SweepError, Unknown, shown
 from linksweep.sweep.formatting import command_line, host, now
 from linksweep.sweep.functions.adapter import experiment_of_record, layout_of_record
@@ -173,7 +173,7 @@ def provenance(study: Study) -> dict[str, Any]:
         CITATION: json.dumps(experiment.citation) if experiment.citation else None,
         "study_document": json.dumps(study.document),
         "started": now(),
-        "published_digest": digest_of(str(study.published.rows)) if study.published else None,
+        "published_digest": study.published.digest if study.published else None,
         "claims": json.dumps(about) if about else None,
         "conclusion": conclusion.model_dump_json(exclude_none=True, exclude_defaults=True) if conclusion else None,
         PART: None if study.part is None else str(study.part),

@@ -721,6 +721,11 @@ class Published:
     rows: tuple[Mapping[str, str], ...]
     where: Mapping[str, Value]
 
+    @property
+    def digest(self) -> str:
+        """A digest of the numbers."""
+        return hashlib.sha256(str(self.rows).encode()).hexdigest()
+
 
 POINT = "point"
 """The dimension of the points of a table or a design, which are in no order."""

@@ -109,7 +109,7 @@ def test_a_finished_run_writes_what_is_not_as_it_would_write_it_once(tmp_path, c
         assert str(store) in (store / "zarr.json").read_text()
 
 
-@pytest.mark.parametrize("asked", few(2, ["many --axis x=0:3", "noisy --axis x=0:2 --set n_sim=5", "many --axis x=2"]))
+@pytest.mark.parametrize("asked", few(2, ["many --axis x=0,3", "noisy --axis x=0,2 --set n_sim=5", "many --axis x=2"]))
 def test_a_run_prints_what_the_dataset_in_its_store_says(tmp_path, sweep, asked):
     (tmp_path / "models.py").write_text(MODELS)
     command = ("run", *f"models.py:{asked} -o s.zarr".split())
