@@ -29,7 +29,7 @@ from linksweep.sweep.running.reproduce import study_of
 from linksweep.sweep.stores.integrity import LEDGER_THEN, STORE
 from linksweep.sweep.stores.ledger import Ledger, Record, references
 from linksweep.sweep.stores.location import Location, Where, holder, is_left_over, located, locked
-from linksweep.sweep.stores.store import CODE, OpenStore, Store, create_store, is_new, store_at
+from linksweep.sweep.stores.store import CODE, OpenStore, Store, create_store, fits, is_new, store_at
 from linksweep.sweep.studies.record import RECORD, begun_by, recorded_study
 from linksweep.sweep.studies.study import LOST, PART, Part, Study, in_ranges
 
@@ -237,11 +237,12 @@ def _first(sources: Sequence[_Source]) -> _Source:
 
 def _require_same_bits(sources: Sequence[_Source], dtype: np.dtype[np.void]) -> None:
     """Raise SweepError where a block of several stores differs between them, or stores that are no parts have integers
-    that the floats of others do not hold.
+    that the floats of others do not hold, or other statistics.
     """
     for source in sources:
-        if source.dtype != dtype and source.study.part is None:
-            for why in lost_integers(source.ledger().read(), dtype).values():
+        if source.dtype != dtype and source.keys and source.study.part is None:
+            unfit = {} if fits(source.dtype, dtype) else {0: "it has other statistics"}
+            for why in (unfit or lost_integers(source.ledger().read(), dtype)).values():
                 raise SweepError(f"cannot be merged: {why}", str(source.location))
     first: dict[bytes, int] = {}
     common: dict[tuple[int, int], list[bytes]] = defaultdict(list)
@@ -284,17 +285,13 @@ def _take(
     ledger, dtype = source.ledger(), experiment.reducer.dtype
     rows, values, seconds = ledger.rows, ledger.read(), ledger.seconds()
     refused: dict[bytes, Record] = {}
-
-    def refuse(key: bytes, why: str) -> None:
-        message = f"{experiment.name}: {why}"
-        refused[key[DIGEST]] = {"kind": "exception", "message": message, "traceback": "", "host": host(), "when": now()}
-
     other = _why_other(_first(sources), source)
     lost = {} if other else lost_integers(values, dtype)
     keys: list[bytes] = []
     for key in sorted(rows, key=rows.__getitem__):
         if other or rows[key] in lost:
-            refuse(key, f"not as at the first point: {other}" if other else lost[rows[key]])
+            why = f"{experiment.name}: {f'not as at the first point: {other}' if other else lost[rows[key]]}"
+            refused[key[DIGEST]] = {"kind": "exception", "message": why, "traceback": "", "host": host(), "when": now()}
         elif key not in store.rows and not _is_after(key, failed):
             keys.append(key)
     records = run.records_of(source.attributes)

@@ -374,6 +374,7 @@ class Ledger:
                 changed["row"][kept] = converted(records["row"][kept], dtype)
             self.chunks |= _references(changed)
             samples = samples[np.repeat(kept, _counts(records).astype(np.intp))] if part.samples else samples
+            samples = samples.reshape(len(samples), samples_width)
             self.parts.append(self._put((changed, samples), revision, 10**6 + number))
         self.rows.remove(gone)
         self.dtype, self.samples_width, self._rows, self._changed = dtype, samples_width, None, True

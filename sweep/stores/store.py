@@ -153,13 +153,12 @@ class Store(OpenStore):
         """Let rows be of this type, and a kept realisation have so many floats.
 
         Integers of rows that are there may become floats; rows with one that no float can hold count as missing.
-        Raises SweepError for rows of another version of the experiment.
+        Raises SweepError for rows with other statistics.
         """
         if (dtype, samples_width) == (self._ledger.dtype, self._ledger.samples_width):
             return
-        if self.rows and not (_fits(self._ledger.dtype, dtype) and samples_width == self._ledger.samples_width):
-            words = "was made by another version of linksweep, with other sums; its results can be read, but to compute"
-            raise SweepError(f"{words} more run the study into a new store with -o", str(self.location))
+        if self.rows and not (fits(self._ledger.dtype, dtype) and samples_width == self._ledger.samples_width):
+            raise SweepError("has other statistics; --redo old computes its points again", str(self.location))
         lost, keys = lost_integers(self._ledger.read(), dtype), self.rows.keys_of_rows()
         self._ledger.retype(dtype, samples_width, [keys[row] for row in lost])
 
@@ -313,7 +312,7 @@ class Store(OpenStore):
             self._ledger.put("study", copied(attributes))
 
 
-def _fits(before: np.dtype[np.void], dtype: np.dtype[np.void]) -> bool:
+def fits(before: np.dtype[np.void], dtype: np.dtype[np.void]) -> bool:
     """Return whether rows can be of another type: the same but for the order, integers that become floats, and arrays
     with a length beside them that become longer.
     """

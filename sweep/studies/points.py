@@ -7,6 +7,7 @@ import inspect
 import json
 import math
 import re
+import tomllib
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -252,10 +253,7 @@ def numbers_like(known: Iterable[Value], values: Iterable[Value]) -> tuple[Value
     """Return values with numbers in the type that the first equal one of those that are ``known`` has: 2.0 as 2, which
     a parameter of any type would take for another value.
     """
-    first: dict[Value, Value] = {}
-    for value in known:
-        if type(value) in (int, float):
-            first.setdefault(value, value)
+    first = {value: value for value in reversed([*known]) if type(value) in (int, float)}
     return tuple(first.get(value, value) if type(value) in (int, float) else value for value in values)
 
 
@@ -638,6 +636,8 @@ def _read_cells(cells: list[Any], parameter: Parameter) -> list[Any]:
     that only those that are wrong are refused.  A column in which no cell is wrong is text on purpose, and stays so.
     """
     kind, choices = parameter.kind, parameter.choices
+    if kind == "object":
+        return [parse_value(cell) if isinstance(cell, str) else cell for cell in cells]
     if kind == "any" and choices:
         ways = [(cell, read_cell(cell, "bool"), read_cell(cell, "float")) for cell in cells]
         return [next((way for way in some if way in choices), some[0]) for some in ways]
@@ -658,6 +658,23 @@ def read_cell(cell: Any, kind: str, marks: Mapping[int, Any] = NO_MARKS) -> Any:
         return {"true": True, "false": False}.get(cell.lower(), cell)
     found = options.number(cell.translate(marks))
     return cell if isinstance(found, str) else found
+
+
+def parse_value(text: str, is_text: bool = False) -> Any:
+    """Return a value as TOML would read it, truth values in any case, or the text itself where it is another bare word,
+    or is to be one.
+
+    >>> parse_value("1e3"), parse_value("[1, 2]"), parse_value("-.5"), parse_value("False"), parse_value("gaia")
+    (1000.0, [1, 2], -0.5, False, 'gaia')
+    >>> parse_value("1e3", is_text=True), parse_value("'1e3'", is_text=True)
+    ('1e3', '1e3')
+    """
+    try:
+        document = tomllib.loads(f"value = {text}")
+    except (ValueError, RecursionError):
+        return text if is_text else read_cell(text, "float" if "." in text else "bool")  # TOML has no .5
+    value = document["value"] if len(document) == 1 else text
+    return text if is_text and not isinstance(value, str) else value
 
 
 def column_of(column: Any, is_whole: bool = False) -> Column:
@@ -870,7 +887,7 @@ def plain_points(points: Any) -> dict[str, Any]:
         table = {str(name): points[name].astype(object).where(points[name].notna(), None).tolist() for name in points}
     else:
         wanted = "must be a DataFrame, a Table, a mapping of columns, a file or a design"
-        raise SweepError(f"points = {shown(points)}: {wanted}")
+        raise SweepError(wanted, f"points = {shown(points)}")
     return {"columns": plain_columns(table, "points"), **further}
 
 

@@ -29,6 +29,7 @@ from linksweep.sweep.studies.points import (
     Values,
     compared,
     labelled,
+    parse_value,
     plain_study,
     read_cell,
     read_points,
@@ -196,23 +197,6 @@ def _conditions(text: str, texts: Collection[str]) -> dict[str, Any]:
     return conditions
 
 
-def parse_value(text: str, is_text: bool = False) -> Any:
-    """Return a value as TOML would read it, truth values in any case, or the text itself where it is another bare word,
-    or is to be one.
-
-    >>> parse_value("1e3"), parse_value("[1, 2]"), parse_value("true"), parse_value("False"), parse_value("gaia")
-    (1000.0, [1, 2], True, False, 'gaia')
-    >>> parse_value("1e3", is_text=True), parse_value("'1e3'", is_text=True)
-    ('1e3', '1e3')
-    """
-    try:
-        document = tomllib.loads(f"value = {text}")
-    except (ValueError, RecursionError):
-        return text if is_text else read_cell(text, "bool")  # another bare word is a string
-    value = document["value"] if len(document) == 1 else text
-    return text if is_text and not isinstance(value, str) else value
-
-
 def parse_axis(text: str, is_text: bool = False) -> Any:
     """Return an axis: ``14:20:0.5`` is a range with a step, ``10:1000:log5`` five values in equal ratios, ``0:1:lin5``
     five with equal steps, anything else a list.
@@ -236,11 +220,12 @@ def parse_axis(text: str, is_text: bool = False) -> Any:
 
 
 def _split(text: str, is_text: bool = False) -> list[Any]:
-    """Return values with commas between them; raises SweepError where a comma would cut a text in quotes."""
+    """Return values with commas between them; raises SweepError where a comma would cut a text in quotes or a list."""
     parts = [part.strip() for part in text.split(",")]
+    ends = {"'": "'", '"': '"', "[": "]", "(": ")", "{": "}"}
     for part in parts:
-        if part[:1] in ("'", '"') and (len(part) == 1 or part[-1] != part[0]):
-            raise SweepError(f'{shown(part)}: commas divide values; give texts with commas to --axis as ["a,b", "c"]')
+        if part[:1] in ends and (len(part) == 1 or part[-1] != ends[part[0]]):
+            raise SweepError(f'{shown(part)}: commas divide values; those with commas are written ["a,b", [1, 2]]')
     return [parse_value(part, is_text) for part in parts]
 
 

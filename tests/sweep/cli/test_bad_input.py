@@ -229,7 +229,7 @@ COMMANDS = [
     (f"{SOBOL} --range error_scale=2:1e305", "(--range error_scale=2:1e305): high = 1e+305: must"),
     ("plan quasars --design sobl:8 --range v_max=14:15", "points.design (--design sobl:8): input should be 'sobol'"),
     (f"{SOBOL}:3:1 --range v_max=14:15", "--design 'sobol:8:3:1': must be written NAME:N or NAME:N:SEED"),
-    ('plan quasars --axis model=amex,"gaia,x"', "commas divide values"),
+    ("plan quasars --axis model=amex,[gaia,x]", "commas divide values"),
     (f"{SOBOL} --range model='c,d',a", "commas divide values"),
     ("run study.toml --cluster c.toml --memory-limit 2GB", "memory and cluster are for different places"),
     ("run study.toml --cluster c.toml --tls-ca c.toml", "--tls-ca, --tls-cert and --tls-key"),

@@ -156,6 +156,19 @@ def test_where_all_points_are_computed_again_results_may_be_others(tmp_path, swe
     assert {name: values.sel(x=2.0).values.tolist() for name, values in found.data_vars.items()} == want
 
 
+def test_other_statistics_are_computed_again_and_never_joined(tmp_path, sweep):
+    run = ["run", "m.py:f", "--axis", "x=1,2", "--set", "n_sim=80", "-o"]
+    for name in ("mean", "q50", "mean"):
+        head = f"import linksweep as s\n@s.experiment(outputs=[s.Output('w', statistics=['{name}'])])\n"
+        (tmp_path / "m.py").write_text(f"{head}def f(x: float, rng):\n    return {{'w': x}}\n")
+        sweep(*run, f"{name}.zarr", cwd=tmp_path, code=0)
+        code, _, err = sweep(*run, "s.zarr", "--accept-code", cwd=tmp_path)
+        sweep(*run, "s.zarr", "--redo", "old", cwd=tmp_path, code=0)
+        assert linksweep.open(tmp_path / "s.zarr")[f"w_{name}"].values.tolist() == [1.0, 2.0]
+    _, _, of_merge = sweep("merge", "mean.zarr", "q50.zarr", "-o", "u.zarr", "--accept-code", cwd=tmp_path, code=2)
+    assert (code, "other statistics" in err, "other statistics" in of_merge) == (2, True, True)
+
+
 def test_accepted_code_is_told_for_each_point(folder, sweep):
     named = change(folder, "deeper")
     write_study(folder, "rate = [1.0, 2.0, 3.0]")

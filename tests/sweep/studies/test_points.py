@@ -1,5 +1,6 @@
 """The table [points]: files, designs and columns become the same points, and what is wrong is told by name and row."""
 
+import datetime
 import re
 import sys
 from typing import Annotated, Literal
@@ -97,7 +98,7 @@ WRONG = [
     ({"beta": [1.0, 2.0], "k": [1]}, "the same number of values; beta has 2, k has 1"),
     (Table({"beta": [1.0] * u.m}), "points.columns.beta: is in m, and the parameter is in 1/d"),
     *(("nowhere.csv", "no such file"), ("/", "Is a directory"), ("/dev/zero", "is a device")),
-    (pd.Series([1]), "1 dtype: int64: must be a DataFrame, a Table, a mapping of columns, a file or a design"),
+    (pd.Series([1]), "must be a DataFrame, a Table, a mapping of columns, a file or a design"),
     (sobol(design="sobl"), "points.design: input should be 'sobol',"),
     (sobol(n=None), "n = None, ranges = {'beta': [1, 2]}: needs both (--design"),
     (sobol(ranges={"beta": [0, 2]}), "points.ranges.beta: beta = 0: must be a number > 0"),
@@ -197,6 +198,16 @@ def test_a_column_in_another_unit_has_gaps_and_the_numbers_of_the_parameter(kind
     }.get(kind, tmp_path / "t.csv")
     found = read(held, perhaps_far, when={"distance": {"n": [*map(u.Quantity, (1, 2, 3))]}})["distance"]
     assert found == ["0.011", "nan" if kind == "array" else "None", "0.8685482395804122"]
+
+
+def dated(day: datetime.date, k: list):
+    return f"{day.month} {sum(k)}"
+
+
+def test_where_a_parameter_takes_objects_a_text_in_a_file_is_what_it_writes(tmp_path):
+    (tmp_path / "t.csv").write_text("day;k\n2020-01-31;[1, 2]\n2020-12-01;[3]\n")
+    ds = run(dated, tmp_path / "s", points=tmp_path / "t.csv", pool="serial")
+    assert ds.dated.values.tolist() == ["1 3", "12 3"]
 
 
 def test_a_function_derives_further_columns(tmp_path, read, problems_of):
