@@ -347,18 +347,12 @@ def test_equal_numbers_are_one_point_of_the_type_that_came_first(tmp_path_factor
         assert sorted(shown) == sorted((value, repr(one)) for value, one in first.items())
 
 
-@pytest.mark.parametrize("more", [slow(["--axis", "x=0,2,1.5"]), ["--points", "x.csv"]])
-def test_the_numbers_of_a_point_do_not_depend_on_the_others(tmp_path, sweep, more):
-    (tmp_path / "m.py").write_text("def draw(rng, x):\n    return {'drawn': rng.normal(), 'power': x**30 % 7}\n")
-    (tmp_path / "x.csv").write_text("x\n0\n2\n")
-    few = ["--axis", "x=0,2"] if more[0] == "--axis" else more
-    assert sweep("run", "m.py:draw", *few, "--set", "n_sim=100", "-o", "s.zarr", cwd=tmp_path)[0] == 0
-    (tmp_path / "x.csv").write_text("x\n0\n2\n1.5\n")
-    for store in ("s.zarr", "t.zarr", "s.zarr"):
-        assert sweep("run", "m.py:draw", *more, "--set", "n_sim=100", "-o", store, cwd=tmp_path)[0] == 0
-    grown, fresh = (linksweep.open(tmp_path / name).drop_vars("wall_time") for name in ("s.zarr", "t.zarr"))
-    assert grown.identical(fresh.assign_attrs(grown.attrs)), (grown, fresh)
-    assert fresh.power_mean.values.tolist() == [0.0, float(2**30 % 7), 1.5**30 % 7]
+def test_integers_of_a_file_stay_integers_when_a_row_with_a_fraction_is_appended(tmp_path, sweep):
+    (tmp_path / "m.py").write_text("def kind(x):\n    return repr(x)\n")
+    for rows, store in (("x\n0\n2\n", "s.zarr"), ("x\n0\n2\n1.5\n", "s.zarr"), ("x\n0\n2\n1.5\n", "t.zarr")):
+        (tmp_path / "x.csv").write_text(rows)
+        sweep("run", "m.py:kind", "--points", "x.csv", "-o", store, cwd=tmp_path, code=0)
+        assert linksweep.open(tmp_path / store).kind.values.tolist() == rows.split()[1:]
 
 
 Level, Word = enum.IntEnum("Level", "LOW HIGH"), enum.StrEnum("Word", {"YES": "y"})
