@@ -676,7 +676,7 @@ def summarise(result: SearchResult, columns: pd.DataFrame) -> dict[str, Any]:
         if "pmra" not in table:
             notes.append(f"{name} has no proper motions: its positions were taken as they are")
         elif missing := np.count_nonzero(np.isnan(table["pmra"])):
-            notes.append(f"{missing:,} stars of {name} have no proper motion; it was taken as zero")
+            notes.append(f"stars of {name} without a proper motion, which was taken as zero: {missing:,}")
     catalogues = zip(result.galaxies.items(), matches.chance, matches.found_in.sum(axis=0), strict=True)
     return {
         "stars": {name: len(table) for name, table in result.stars.items()},

@@ -98,7 +98,8 @@ def _checked(one: Field[Any], value: Any) -> Any:
         some = value.items() if isinstance(value, Mapping) else [value] if isinstance(value, str | PurePath) else value
         pairs = [_pair(one.name, metavar, k, part) for k, part in enumerate(some)]
         if len(named := dict(pairs)) < len(pairs):
-            raise ValueError(f"{one.name}: {', '.join(key for key, _ in pairs)}: one is named twice")
+            listed = ", ".join("=".join(pair).removeprefix(":=") for pair in pairs)
+            raise ValueError(f"{one.name}: {listed}: one is named twice")
         parameter(one).parse(named)
         return tuple(pairs)
     if joined or isinstance(value, PurePath):

@@ -30,7 +30,7 @@ REFUSED += [({}, ["-o", "m.txt"], "m.txt must end in .ecsv"), ({}, ["sub/wide.fi
 REFUSED += [({}, ["-o", "m.ecsv", "--table", "m.ecsv"], "m.ecsv is named for two outputs")]
 REFUSED += [({}, ["--table", "wide.csv/t.dat"], "is not a directory that can be written")]
 REFUSED += [({}, ["--radius", "wied=3"], "radius: no table 'wied'; did you mean 'wide'?")]
-REFUSED += [({}, ["--radius", "wide=3", "--radius", "wide=4"], "radius: wide, wide: one is named twice")]
+REFUSED += [({}, ["--radius", "wide=3", "--radius", "wide=4"], "radius: wide=3, wide=4: one is named twice")]
 REFUSED += [({}, ["--column", "ra"], "columns = 'ra': must be [NAME:]KEY=COLUMN")]
 REFUSED += [({}, ["--k-sigma", "-1"], "k_sigma = -1: must be a finite number > 0")]
 REFUSED += [(NO_NUMBERS, ["--table", "t.dat"], "needs columns TYC1, TYC2 and TYC3, or TYC with strings")]
@@ -150,7 +150,7 @@ def test_missing_proper_motions_may_be_zero(folder):
     star_table(pmra=pm).write("stars.fits", overwrite=True)
     assert "no proper motion (--missing-pm zero takes it as zero) in row 1" in run(*ARGUMENTS).output
     result = run(*ARGUMENTS, "--missing-pm", "zero", "--json")
-    assert json.loads(result.stdout)["notes"] == ["1 stars of stars have no proper motion; it was taken as zero"]
+    assert json.loads(result.stdout)["notes"] == ["stars of stars without a proper motion, which was taken as zero: 1"]
     assert read_matches(folder / "results" / "matches.ecsv")["star_pmra"].mask.tolist() == [False, True, False]
 
 
