@@ -398,7 +398,7 @@ def _as_read(text: str, known: Set[float | str]) -> float | str:
     try:
         return text if text in known else float(text)
     except ValueError:
-        return text
+        return text.title() if text.lower() in ("true", "false") else text
 
 
 # Most elements of one covariance, which has one for every pair of points along an axis, and of its samples.

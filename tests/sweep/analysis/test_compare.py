@@ -308,6 +308,9 @@ def test_published_numbers_stand_at_the_point_that_is_meant_also_if_it_is_exclud
     assert dataset["w_published"].attrs["outside_grid"] == 1
     judged = {(c.where["release"], c.where["k"]): c.verdict for c in compare(dataset)}
     assert [judged[place] for place in (("1.1", 1), ("1.1", 2), ("1.10", 1))] == ["incomplete", *["reproduced"] * 2]
+    (tmp_path / "p.csv").write_text("x,w\ntrue,1\nFALSE,0\n")
+    flags = {"experiment": lambda x: {"w": int(x)}, "axes": {"x": [False, True]}, "published": study["published"]}
+    assert linksweep.run(flags, tmp_path / "b", pool="serial")["w_published"].values.tolist() == [0, 1]
     (tmp_path / "p.csv").write_text("release,w\n1.10,4\n007,5\n")  # at the k of the study, an axis of the store
     axes, two = {"release": ["1.10", "007", "8"]}, {"k": [1, 2]}
     for k, more in (2, {"fixed": {"k": 2}}), (1, {"axes": axes | two}), (None, {"axes": axes | two}):
