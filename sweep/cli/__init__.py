@@ -165,8 +165,9 @@ def _keys(context: click.Context, parameter: click.Parameter, incomplete: str) -
     """Offer the axes of the study that was given before and what it fixes, or the parameters of the function, and where
     they are no axes what all studies have.
     """
-    # The study is not parsed yet where an option lacks its value.
-    study = str(context.params.get("study") or next(iter(context.args), ""))
+    # The study is not parsed yet where an option lacks its value, and is three words to bash if it names a function.
+    words = [*filter(None, [context.params.get("study")]), *context.args]
+    study = "".join(words[: 3 if words[1:2] == [":"] else 1])
     document: dict[str, Any] = {}
     with suppress(OSError, ValueError, RecursionError, SyntaxError):
         # A shell has no place for an error.

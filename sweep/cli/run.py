@@ -143,8 +143,6 @@ def _logged(watching: Watching) -> Iterator[None]:
 
         handle(Lines(watching.level), SENTENCES)
         SENTENCES.setLevel(logging.DEBUG if watching.log is not None else watching.level)
-        # Else Python prints what nobody handles to standard error.
-        handle(logging.NullHandler(), RECORD)
         for logger in (SENTENCES, RECORD):
             # Handlers of the user's code would say it again.
             stack.callback(setattr, logger, "propagate", logger.propagate)

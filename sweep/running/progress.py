@@ -228,6 +228,7 @@ SENTENCES = logging.getLogger("linksweep")
 
 # Messages to the log file alone, such as the traceback of each point that fails.
 RECORD = logging.getLogger("linksweep.record")
+RECORD.addHandler(logging.NullHandler())  # else Python prints what nobody handles to standard error
 
 # The time between two lines grows with the time that the run has taken, between these bounds.
 LINE_FIRST_S, LINE_LAST_S, LINE_SHARE = 5.0, 600.0, 0.1

@@ -2,6 +2,7 @@
 
 import io
 import json
+import logging
 import re
 import shutil
 import sys
@@ -227,8 +228,9 @@ def test_the_bar_has_what_failed_in_red_and_the_first_reason(tmp_path, monkeypat
     assert ("ValueError: no <sun> at 1" in shown.getvalue(), "18/18" in shown.getvalue()) == (True, False)
 
 
-def test_a_notebook_does_not_call_a_run_with_failures_done(tmp_path, monkeypatch):
+def test_a_notebook_does_not_call_a_run_with_failures_done(tmp_path, monkeypatch, capsys):
     display, shown = pytest.importorskip("IPython.display"), []
+    monkeypatch.setattr(logging.root, "handlers", [])  # what nobody handles is printed
 
     def show(line, **_):
         shown.append(line.data)
@@ -240,6 +242,8 @@ def test_a_notebook_does_not_call_a_run_with_failures_done(tmp_path, monkeypatch
         assert shown[-1].endswith("9 done, 9 failed of 18 points, ended")
     run_study(odd_study(1), tmp_path / "one.zarr", SERIAL, progress.NotebookProgress(odd_study(1)))
     assert shown[-1].endswith("1/1 points, done")
+    printed = capsys.readouterr().err
+    assert ("failed at x=" in printed, "Traceback" in printed) == (True, False)
 
 
 @pytest.mark.parametrize("pool", [("--pool", "serial"), (), *map(slow, (THREADS, ("--workers", "2"), LIMITS))], ids=str)
