@@ -1062,7 +1062,7 @@ def _find(reference: str, folder: Path | None = None, digest: str | None = None,
         text = without_package(str(error))
         message = f"{type(error).__name__}{f': {text}' if text else ''}{_line_of(error)}"
         if isinstance(error, ImportError) and f"{place}.".startswith(f"{error.name or place}."):  # also if relative
-            message += "; name a function of a package by its module, and put the package's folder in PYTHONPATH"
+            message += "; a function in a file is FILE.py:NAME; one of a package needs its folder in PYTHONPATH"
         raise SweepError(f"{shown(reference)}: cannot be imported: {message}") from error
     if not hasattr(module, attribute):
         hint = suggest(attribute, [name for name in vars(module) if not name.startswith("_")])

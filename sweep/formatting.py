@@ -287,7 +287,9 @@ def prefixed(values: Any, unit: str) -> Prefixed:
     """
     choices = (Prefixed(unit, 1.0), *_choices(unit))  # the first of those that read alike
     sizes = _sizes(values) if len(choices) > 1 else []
-    return min(choices, key=lambda choice: sum(_zeros(size * choice.factor) for size in sizes))
+    best = min(choices, key=lambda choice: sum(_zeros(size * choice.factor) for size in sizes))
+    # A number with more than three zeros has an exponent in any unit.
+    return best if any(_zeros(size * best.factor) <= 3.0 for size in sizes) else choices[0]
 
 
 def written(unit: str) -> str:

@@ -21,6 +21,7 @@ from linksweep.sweep.formatting import ESCAPED, WIDTH, harmless, in_ascii, is_mi
 GAP = 2  # blanks between two columns
 LONG_NAME = 13  # column names longer than this are broken into two lines at an underscore
 FORMULA = tuple("=+-@＝＋－＠")  # how a cell of CSV begins that a spreadsheet would compute
+COLOURS = {"reproduced": "green", "within tolerance": "yellow", "NOT reproduced": "red"}  # of cells in terminals
 ENDLESS = 10**6  # columns of a terminal that has room for everything
 
 
@@ -107,7 +108,7 @@ class Table:
             options: Any = {"justify": "left" if side else "right", "no_wrap": not column.wrap}
             grid.add_column(head, min_width=column.width, **options)
         for row in zip(*(column.texts for column in self.columns), strict=True):
-            grid.add_row(*map(text.Text, row))
+            grid.add_row(*(text.Text(cell, COLOURS.get(cell, "")) for cell in row))
         # the height, too: a terminal that is "dumb" would else be 80 columns wide
         room = max(width or ENDLESS, sum(column.width + GAP for column in self.columns))
         terminal = console.Console(width=room, height=25, color_system="standard" if styled else None)

@@ -66,9 +66,16 @@ def arg(**more: Any) -> Any:
     return lambda name: click.Argument([name], **more)
 
 
+class _Choice(click.Choice[str]):
+    def get_invalid_choice_message(self, value: Any, ctx: click.Context | None) -> str:
+        from linksweep.sweep.contract.experiment import nearest
+
+        return super().get_invalid_choice_message(value, ctx).removesuffix(".") + nearest(str(value), self.choices)
+
+
 def choice(help: str, choices: Iterable[str], *names: str, **more: Any) -> Any:  # noqa: A002
     """Declare an option with one of some words as its value."""
-    return opt(help, *names, type=click.Choice(list(choices)), **more)
+    return opt(help, *names, type=_Choice(list(choices)), **more)
 
 
 def output(help: str, **more: Any) -> Any:  # noqa: A002
@@ -597,18 +604,22 @@ def columns() -> int:
     return max(NARROWEST, shutil.get_terminal_size(os.get_terminal_size(RESULTS[0].fileno())).columns or WIDTH)
 
 
-def print_wrapped(text: str, first: str = "", later: str = "") -> None:
-    """Print a sentence in lines of the width of a terminal, the first and the later ones behind a prefix; no word is
-    broken, since it may be a name.
+def print_wrapped(text: str, first: str = "", later: str = "", **style: bool) -> None:
+    """Print a sentence in a style and in lines of the width of a terminal, the first and the later ones behind a
+    prefix; no word is broken, since it may be a name.
     """
     wrapper = textwrap.TextWrapper(min(WIDTH, columns()), first, later, replace_whitespace=False)
     wrapper.break_long_words = wrapper.break_on_hyphens = False
-    put(wrapper.fill(text))
+    print_styled(wrapper.fill(text), **style)
+
+
+def _has_styles() -> bool:
+    return RESULTS[0].isatty() and os.environ.get("TERM") != "dumb"
 
 
 def print_styled(text: str, **style: bool) -> None:
     """Print text in a style of ours, which it cannot change."""
-    click.secho(harmless(text), file=RESULTS[0].unescaped, color=RESULTS[0].isatty(), **style)
+    click.secho(harmless(text), file=RESULTS[0].unescaped, color=_has_styles(), reset=bool(style), **style)
 
 
 def print_tables(tables: "Iterable[Table]", notes: Iterable[str] = ()) -> None:
@@ -616,7 +627,7 @@ def print_tables(tables: "Iterable[Table]", notes: Iterable[str] = ()) -> None:
     width = columns()
     for number, table in enumerate(tables):
         kept, left_out = table.fitting(width)
-        text = kept.text(width, styled=RESULTS[0].isatty())
+        text = kept.text(width, styled=_has_styles())
         click.echo(f"\n{text}" if number else text, file=RESULTS[0].unescaped)
         if left_out:
             print_wrapped(f"left out to fit {width} columns: {left_out}; --json has them")

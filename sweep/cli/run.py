@@ -216,7 +216,7 @@ def run_with_progress(
         # Slopes are fitted with xarray.
         whole: Any = dataset.to_xarray() if '"slope"' in dataset.attrs.get(CONCLUSION, "") else dataset
         for sentence in answer_in_short(whole):
-            cli.print_wrapped(sentence)
+            cli.print_wrapped(sentence, bold=True)
     return dataset, failures
 
 
@@ -343,9 +343,9 @@ def plan(
     if as_json:
         cli.put(to_json(report))
         return
-    lines = [("study", report["title"]), ("grid", report["grid"])]
-    failed = progress.failed_before(report["points_failed"])
-    lines += [("points", f"{report['points']:,}, {report['points_done']:,} of them done{failed}")]
+    points = f"{report['points']:,}, {report['points_done']:,} of them done"
+    points += progress.failed_before(report["points_failed"])
+    lines = [("study", report["title"]), ("grid", report["grid"]), ("points", points)]
     if "realisations" in report:
         done = report["realisations"] - report["realisations_pending"]
         lines += [("realisations", f"{report['realisations']:,}, {done:,} of them done")]
@@ -424,12 +424,11 @@ def status(store: "Location" = cli.STORE, as_json: bool = cli.JSON) -> None:
             cli.print_wrapped(f"of {total} parts: {'; '.join(f'{state}: {ones}' for state, ones in some.items())}")
         return
     points, made, part = report["points"], report["provenance"], f" of part {report['part']}" if report["part"] else ""
-    unfinished = points["missing"]
-    total = points["done"] + points["failed"] + unfinished
+    total = sum(points.values()) - points["excluded"]
     state = f"running, {report['running']}" if report["running"] else report["state"]
     cli.print_styled(report["title"], bold=True)
     share = ""
-    if unfinished and "realisations" in report:
+    if points["missing"] and "realisations" in report:
         share = f", {100 * report['realisations_done'] // report['realisations']} % of the realisations"
     cli.print_wrapped(f"{state}: {progress_in_words(points['done'], points['failed'], total, part)}{share}")
     for key in ("note", "lost_parts"):
@@ -676,8 +675,8 @@ def new(name: str = arg(), experiment: str = EXPERIMENT) -> None:
     if not reader.GOOD_NAME.fullmatch(name):
         rule = "a letter, then letters, digits and _ . + -, at most 60"
         raise linksweep.SweepError(f"{contract.shown(name)} is no name for a study: {rule}")
-    path = Path(f"{name}.toml")
-    text = made.new_study(name, experiment, code.load_experiment(experiment)).encode(errors="replace")
+    path = Path(f"{name.removesuffix('.toml')}.toml")
+    text = made.new_study(path.stem, experiment, code.load_experiment(experiment)).encode(errors="replace")
     with reading(path, "cannot be written"):
         if not Folder(Path()).create(path.name, text):
             raise linksweep.SweepError("exists already; take another name", str(path))

@@ -123,8 +123,8 @@ class FailureCount:
 
     def __str__(self) -> str:
         """How many points are done, and how many failed, in this run and in earlier ones."""
-        if words := self.failed_in_words:
-            return f"{self.done:,} done, {words} of {self.points:,} points"
+        if self.failed:
+            return f"{self.done:,} done, {self.failed:,} failed of {self.points:,} points"
         return f"{self.done:,}/{self.points:,} points"
 
     @property
@@ -136,11 +136,6 @@ class FailureCount:
     def failed(self) -> int:
         """How many points have failed."""
         return self._failed_before + self.reasons.points
-
-    @property
-    def failed_in_words(self) -> str:
-        """How many points have failed, '' for none."""
-        return f"{self.failed:,} failed" if self.failed else ""
 
     @property
     def most_at_once(self) -> int | None:
@@ -494,9 +489,8 @@ class TerminalProgress(Progress):
 
     def _drawn(self) -> Table:
         """Return the bar and its line, with what failed in red and the first reason as far as there is room."""
-        words = self._count.failed_in_words
         line = Text(self._line(), no_wrap=True, overflow="ellipsis")
-        line.highlight_words([words] if words else [], style="bold red")
+        line.highlight_regex(r"[\d,]+ failed", "bold red")
         if first := next(iter(self._count.reasons.first.values()), None):
             line.append(harmless(f"; {short(first[1])}"), style="red")
         grid = Table.grid(padding=(0, 1))

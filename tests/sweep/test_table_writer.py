@@ -25,7 +25,7 @@ WELL = [
 ]
 OTHERS = ("", "d", "deg", "mag", "users / d", "%", "mas2 / yr2", "mas, mas", "1 / s", "yr", "h")
 STAYING = [*((1e-6, unit) for unit in OTHERS), *((x, "mas") for x in (np.nan, 0.0, np.inf, 0.1, 999.0))]
-STAYING += [(5000.0, "s"), (5000.0, "arcsec")]
+STAYING += [(5000.0, "s"), (5000.0, "arcsec"), (1.1e-14, "W / m2"), (1e16, "m")]
 
 
 def test_programs_get_every_number_exactly_and_missing_ones_as_such():
@@ -81,6 +81,7 @@ def test_a_column_that_may_wrap_takes_several_lines_and_loses_no_word():
     lines = table.text(24).splitlines()
     assert max(map(len, lines)) <= 24
     assert " ".join(" ".join(line[3:].split()) for line in lines[1:]) == words
+    assert "\x1b[31mNOT reproduced\x1b[0m" in Table([Column("verdict", ["NOT reproduced"])]).text(styled=True)
 
 
 @given(st.text(max_size=60))

@@ -54,6 +54,8 @@
     Bokeh.documents.splice(Bokeh.documents.indexOf(shownIn), 1);
   };
 
+  // The range in which values that are all one are shown: of their size, since a great one is lost in one of 2.
+  const aroundOne = (values) => Math.max(largest(values.map(Math.abs)), 0) / 5 || 2;
   // How far ascending places are at most from equal steps, as a share of their range.
   const unevenness = (places) => {
     const [first, last] = [places[0], places.at(-1)];
@@ -349,6 +351,8 @@
         border_fill_color: page,
         outline_line_color: line,
       });
+      if (numeric && !isMap && !logX) figure.x_range.default_span = aroundOne(x.values);
+      if (!isMap && !logY) figure.y_range.default_span = aroundOne(flat.map((row) => row.value));
       figure.toolbar.logo = null;
       figure.toolbar.active_scroll = null;
       const along = { x: [[...figure.xaxis][0], [...figure.xgrid][0]], y: [[...figure.yaxis][0], [...figure.ygrid][0]] };

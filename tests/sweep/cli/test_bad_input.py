@@ -153,7 +153,7 @@ def test_a_package_that_is_not_installed(here):
     command = [sys.executable, "-P", "-m", "linksweep", "run", "own/inner/part.py:f", "--axis", "x=1"]  # as the command
     done = subprocess.run(command, cwd=here, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (2, "")
-    assert "put the package's folder in PYTHONPATH" in done.stderr
+    assert "a function in a file is FILE.py:NAME; one of a package needs its folder in PYTHONPATH" in done.stderr
 
 
 @pytest.fixture(scope="module")
@@ -235,7 +235,7 @@ COMMANDS = [
     ("run study.toml --cluster c.toml --tls-ca c.toml", "--tls-ca, --tls-cert and --tls-key"),
     *(("run study.toml --log study.toml", "is no file of --log"), ("run grid --events decay.py", "file of --events")),
     *((f"run grid --events decay.zarr/{name}", "lies inside the store") for name in ("zarr.json", "e.jsonl")),
-    *(("new taken", "taken.toml: exists already; take another name"), ("new ../up", "'../up' is no name for a study")),
+    *(("new taken.toml", "taken.toml: exists already"), ("new ../up", "'../up' is no name for a study")),
     *(("new fine no.such:thing", "no.such"), ("new fine math:tau", "math:tau")),
     ("plot STORE --kind map", "no map of share here; possible are lines, law"),
     ("plot STORE --over length", "share cannot be drawn along length; its axes are"),
@@ -253,7 +253,7 @@ COMMANDS = [
     # typical mistakes, with what solves them
     *(("run quasars --set n_sims=4", "'n_sim'"), ("run quasars --axis n_sim=4,5", "--set n_sim=")),
     *(("run quasars.toml", "'quasars'"), ("run decay", "'decay.py'"), ("show decay", "'decay.zarr'")),
-    *(("run decay.zarr", "sweep run --retry"), ("plot decay.zarr --kind heatmap", "'map'")),
+    *(("run decay.zarr", "sweep run --retry"), ("plot decay.zarr --kind heatmap", "did you mean 'map'?")),
     ("run decay.py:decay --axis years 1,2", "--axis NAME=1,2,3"),
     ("run decay.py:decay --axis years=1,2 --set half_life=2 --seed 4", "--set NAME=VALUE"),
     ("run decay.py:decay --axis years=1,2", "--set half_life=VALUE"),
