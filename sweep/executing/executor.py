@@ -58,7 +58,7 @@ LAST_WORDS = 4096
 END_S = 1.0
 
 # Libraries with threads or devices of their own, for which a fork of a process that used them may wait for ever.
-NOT_TO_BE_FORKED = ("jax", "torch", "tensorflow", "cupy")
+NOT_TO_BE_FORKED = ("jax", "torch", "tensorflow", "cupy", "polars", "numba.np.ufunc.omppool")
 
 # Freed memory that a child's allocator keeps: arrays of some MB are made anew for each catalogue, and giving them back
 # to the system each time costs a fifth of the run.
