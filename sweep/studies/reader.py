@@ -555,7 +555,8 @@ class _Reader:
         """Return the sections that a store has as they are written, with references and files that work from any
         directory.
         """
-        sections = {key: self.document[key] for key in SECTIONS if key in self.document}
+        written = {key: self.document[key] for key in SECTIONS if key in self.document and key != "define"}
+        sections = json.loads(json.dumps(written, default=lambda one: one.item() if hasattr(one, "item") else str(one)))
         sections |= {"define": self._absolute(form.define)} if form.define else {}
         if form.published is not None:
             sections["published"] = sections["published"] | {"file": str((self.folder / form.published.file).resolve())}
@@ -689,7 +690,8 @@ def _read_published(form: Form, values: Values, axes: Collection[str], fixed: Ma
                 for column, cell in row.items():
                     if column in parameters and (column not in outputs or column in axes):
                         kind, is_none = parameters[column].kind, cell == "None" and parameters[column].reads_none
-                        parameters[column].parse(None if is_none else cell if kind == "str" else read_cell(cell, kind))
+                        raw = None if is_none else cell if kind == "str" else read_cell(cell, kind)
+                        compared(parameters[column], raw)
                     elif cell and isinstance(read_cell(cell, "float"), str):
                         raise ValueError(f"{column} = {shown(cell)}: must be a number or empty")
         others = {n: raw for n, raw in about.where.items() if n not in form.fixed or form.fixed[n] != raw}

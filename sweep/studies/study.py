@@ -189,13 +189,14 @@ def _condition(name: str, written: Any, context: Context) -> Condition:
 
 
 def _place(name: str, raw: Any, context: Context) -> Value:
-    """Return the value of an axis as the grid has it."""
+    """Return the value of an axis as the grid has it, of an object its label."""
     values = context.values(name)
-    value = context.experiment.parameter(name).parse(raw)
-    if values is not None and value not in values:
-        listed = first_of([shown(one) for one in values], 20)
-        raise ValueError(f"{shown(value)} is not on the axis, which has {listed}")
-    return value.name if isinstance(value, Named) else value
+    value = context.compared(context.experiment.parameter(name), raw)
+    there = [value] if values is None else [one for one in values if (value, type(value) is bool) in _names(one)]
+    if not there:
+        listed = first_of([shown(one) for one in values or ()], 20)
+        raise ValueError(f"{shown(raw)} is not on the axis, which has {listed}")
+    return there[0].name if isinstance(there[0], Named) else there[0]
 
 
 def _variable(name: str, context: Context) -> str:

@@ -2,6 +2,7 @@
 
 import json
 from collections import Counter
+from datetime import date
 from decimal import Decimal
 
 import numpy as np
@@ -308,9 +309,12 @@ def test_published_numbers_stand_at_the_point_that_is_meant_also_if_it_is_exclud
     assert dataset["w_published"].attrs["outside_grid"] == 1
     judged = {(c.where["release"], c.where["k"]): c.verdict for c in compare(dataset)}
     assert [judged[place] for place in (("1.1", 1), ("1.1", 2), ("1.10", 1))] == ["incomplete", *["reproduced"] * 2]
-    (tmp_path / "p.csv").write_text("x,w\ntrue,1\nFALSE,0\n")
-    flags = {"experiment": lambda x: {"w": int(x)}, "axes": {"x": [False, True]}, "published": study["published"]}
-    assert linksweep.run(flags, tmp_path / "b", pool="serial")["w_published"].values.tolist() == [0, 1]
+    (tmp_path / "p.csv").write_text("x,day,w\ntrue,2024-06-01,1\nFALSE,2024-06-01,0\n")
+    flags = {"experiment": lambda x, day: {"w": int(x)}, "published": study["published"]}
+    flags["axes"], at = {"x": [False, True], "day": [date(2024, 6, 1)]}, {"x": True, "day": date(2024, 6, 1)}
+    flags |= {"claim": [claim(value={"variable": "w", "at": at})], "figure": {"at": at}}
+    found = compare(linksweep.run(flags, tmp_path / "b", pool="serial"))
+    assert [(c.where["x"], c.verdict) for c in found] == [(x, "reproduced") for x in (False, True, True)]
     (tmp_path / "p.csv").write_text("release,w\n1.10,4\n007,5\n")  # at the k of the study, an axis of the store
     axes, two = {"release": ["1.10", "007", "8"]}, {"k": [1, 2]}
     for k, more in (2, {"fixed": {"k": 2}}), (1, {"axes": axes | two}), (None, {"axes": axes | two}):
