@@ -556,7 +556,8 @@ class _Reader:
         directory.
         """
         written = {key: self.document[key] for key in SECTIONS if key in self.document and key != "define"}
-        sections = json.loads(json.dumps(written, default=lambda one: one.item() if hasattr(one, "item") else str(one)))
+        text = json.dumps(written, default=lambda one: one.item() if hasattr(one, "item") else str(one))
+        sections: dict[str, Any] = json.loads(text)
         sections |= {"define": self._absolute(form.define)} if form.define else {}
         if form.published is not None:
             sections["published"] = sections["published"] | {"file": str((self.folder / form.published.file).resolve())}
