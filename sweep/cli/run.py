@@ -201,9 +201,7 @@ def run_with_progress(
             rest = how.accept_code, how.max_failures, beside or running.ALL, how.break_lock
             dataset, failures = running.run_study(study, store, how.resources, progress, *rest)
         except RunInterruptedError as stop:
-            for problem in getattr(stop.__cause__, "problems", ()):  # so that less may be kept
-                progress.say(problem)
-            progress.stopped(stop.signal.name, store)
+            progress.stopped(stop, store)
             cli.end_stopped(stop.signal)
         # A part has no results to read, but those of the points that are its own.
         readable = how.as_json is False and study.part is None

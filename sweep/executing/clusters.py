@@ -49,6 +49,9 @@ CLOSE_S = 0.5
 # Seconds between two looks whether a cluster has lost workers.
 REPLACE_EVERY_S = 5
 
+# Lets through what a logger of this name logs: nothing.
+NO_RECORDS = logging.Filter("linksweep.nobody")
+
 # Keeps modules of the present folder, which may be a stranger's, out of the processes of a cluster.
 SAFE_PATH = "PYTHONSAFEPATH"
 
@@ -299,16 +302,12 @@ def without_logs() -> Iterator[None]:
     # One of Dask's is that of all its loggers, of tornado's and of bokeh's.
     handlers = [one for one in logging.getLogger("distributed").handlers if type(one) is logging.StreamHandler]
     for handler in handlers:
-        handler.addFilter(_no_record)
+        handler.addFilter(NO_RECORDS)
     try:
         yield
     finally:
         for handler in handlers:
-            handler.removeFilter(_no_record)
-
-
-def _no_record(_record: logging.LogRecord) -> bool:
-    return False
+            handler.removeFilter(NO_RECORDS)
 
 
 # The arguments of the `adapt` of a cluster, which takes any other without a word and then does nothing.

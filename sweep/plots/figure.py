@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
-from itertools import product
+from itertools import islice, product
 from typing import Any
 
 import numpy as np
@@ -40,6 +40,7 @@ MOST_MARKERS = 40  # more points on a line than this have no markers
 FEWEST_STEPS = 3  # of an axis, which then has colours of a ramp
 WIDE_COLOURS = 20.0  # values that span more than this factor have logarithmic colours
 LARGEST = 1e307  # beyond it, the ends of an axis or what lies between them may be no floats
+MOST_PIXELS = 1500  # along each side of an image; panels have no more, and what lies between them is not read
 FAR = 30.0  # series whose largest values differ by more than this factor need panels with axes of their own
 
 OPEN: dict[str, Any] = style.marks(0, 4.5, color="0.15", fillstyle="none", markeredgewidth=0.8)
@@ -118,6 +119,11 @@ def _study_figure(dataset: xr.Dataset, kind: str | None, variables: list[str], o
     for name in names:
         quantity.require_quantity(dataset, name)
     dataset = dataset.assign_coords({d: dataset[d] for name in names for d in dataset[name].dims})
+    unseen = {n for n in quantity.quantities(dataset) if quantity.own_dimensions(dataset, n)}.difference(names)
+    dataset = dataset.drop_vars(unseen)  # arrays may be large
+    fine = {d: -(-dataset.sizes[d] // MOST_PIXELS) for d in quantity.own_dimensions(dataset, names[0])}
+    if sum(step > 1 for step in fine.values()) > 1:  # an image
+        dataset = dataset.isel({d: slice(None, None, step) for d, step in fine.items()})
     # Infinity has no place in a figure; the caption says how often it is left out.
     finite = {n: dataset[n].where(abs(dataset[n]) < np.inf) for n in names if dataset[n].dtype.kind == "f"}
     dataset = _where_known(dataset.assign(finite), names[0])
@@ -278,7 +284,7 @@ def draw_panels(
     counts = [*(dataset.sizes[d] for d in dimensions), *([len(variables)] if len(variables) > 1 else [])]
     if len(counts) > 2:
         raise SweepError("several variables leave room for one dimension of panels: fix others by --at AXIS=VALUE")
-    panels = list(_panels(dataset, variables, dimensions, far))
+    panels = list(islice(_panels(dataset, variables, dimensions, far), MOST_PANELS + 1))
     if len(panels) > MOST_PANELS:
         raise _too_many(dataset, dimensions[::-1], variables)
     wanted = counts[-1] if len(counts) == 2 else len(panels)

@@ -21,7 +21,7 @@ from rich.text import Text
 from linksweep.sweep.contract import shown
 from linksweep.sweep.executing.task import Failure, TaskResult
 from linksweep.sweep.formatting import ESCAPED, counted, harmless, in_words, now, per_second, typed, without_secrets
-from linksweep.sweep.interrupt import how_ended
+from linksweep.sweep.interrupt import RunInterruptedError, how_ended
 from linksweep.sweep.planning.grid import GridPoint, describe
 from linksweep.sweep.planning.plan import PlanSize, Survey, Work
 from linksweep.sweep.studies.study import Study
@@ -424,14 +424,15 @@ class TerminalProgress(Progress):
         """Tell the user a sentence."""
         SENTENCES.info(text)
 
-    def stopped(self, signal: str, store: object) -> None:
-        """Say what an interrupted run leaves, and how to go on."""
+    def stopped(self, stop: RunInterruptedError, store: object) -> None:
+        """Say what an interrupted run leaves, how to go on, and what else was wrong."""
         self._remove_bar()
         done = "nothing was begun"
         if self._begun is not None:
             failed = f", {counted(self._count.reasons.points, 'point')} failed" if self._count.reasons.points else ""
             done = f"kept in {store}: {self._counted(self._done, self._count.reasons.points)} of this run{failed}"
-        SENTENCES.error(f"{how_ended(signal)}; {done}; the same command goes on from there")
+        words = [how_ended(stop.signal.name), done, "the same command goes on from there"]
+        SENTENCES.error("; ".join([*words, *getattr(stop.__cause__, "problems", ())]))
 
     def finish(self, failures: Mapping[str, str], store: object, commands: Sequence[str] = ()) -> None:
         """Say what the run took, why points failed (``failures`` by their place), and which ``commands`` come next."""

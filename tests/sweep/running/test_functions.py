@@ -18,6 +18,7 @@ from hypothesis import given, settings, strategies as st
 import linksweep
 from linksweep import Limits, Output, SweepError, experiment
 from linksweep.sweep.analysis.tables import tables
+from linksweep.sweep.plots.figure import draw_figure
 from tests.sweep.opening import dying, same, until_done
 from tests.sweep.outside import Outside
 from tests.tiers import examples, few, slow
@@ -222,7 +223,7 @@ def test_a_store_is_opened_without_its_large_arrays_and_they_are_read_from_it_or
     check(ds)  # a later run leaves what an earlier one has returned
     opened = linksweep.open(store)
     [file.unlink() for file in (store / "blocks").glob("large.*")]
-    assert "0.3333" in str(tables(opened))
+    assert ("0.3333" in str(tables(opened)), draw_figure(opened).axes[0].get_label()) == (True, "level")
     for lost in (ds, opened):
         with pytest.raises(SweepError, match=r"blocks/large\.[0-9a-f]{32} cannot be read: it is missing"):
             lost["image"].sel(a=1, b=0).load()
