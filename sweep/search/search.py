@@ -531,8 +531,8 @@ MATCH_COLUMNS: Mapping[str, tuple[str | None, str]] = {
 LETTERS = dict(zip(CLASSES, "GUS", strict=True))
 """The letters of the classes in the 46-byte table."""
 
-LARGEST = {"TYC1": ("1-4", 9999), "TYC2": ("6-10", 99999), "TYC3": ("12-12", 9), "PGC": ("14-18", 99999)}
-"""The bytes of the integers in the 46-byte table, and the largest number that fits."""
+LARGEST_PGC = 99999
+"""The largest number that fits the 46-byte table."""
 
 PROBLEMS_NAMED = 10
 
@@ -643,18 +643,16 @@ def _together(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
 def galaxy_table(columns: pd.DataFrame) -> str:
     r"""Return the matches in the format of the paper's tables at CDS: one line of 46 bytes and a ``\n`` for each.
 
-    TYC1, TYC2, TYC3 and PGC are integers in the bytes of `LARGEST`, ra (20-31) and dec (33-44) of the star are F12.8,
-    byte 46 is the class, one of `LETTERS`.  A right ascension that rounds to 360 is written as 0.  Raises SweepError
-    that names stars with a number that does not fit its field, such as the 0 of a galaxy without PGC number.
+    TYC1 (bytes 1-4), TYC2 (6-10), TYC3 (12) and PGC (14-18) are integers, ra (20-31) and dec (33-44) of the star are
+    F12.8, byte 46 is the class, one of `LETTERS`.  A right ascension that rounds to 360 is written as 0.  Raises
+    SweepError that names stars with a PGC number that does not fit, such as the 0 of a galaxy without one.
     """
     problems: list[str] = []
     lines: list[str] = []
-    for *numbers, ra, dec, name in columns[[*TYC, "PGC", "ra", "dec", "class"]].itertuples(index=False):
-        tyc1, tyc2, tyc3, pgc = numbers
-        for (field, (place, largest)), value in zip(LARGEST.items(), numbers, strict=True):
-            if not 1 <= value <= largest:
-                said = f": {field} = {value} does not fit bytes {place}, from 1 to {largest}"
-                problems.append(f"TYC {tyc1}-{tyc2}-{tyc3}{said if value or field != 'PGC' else ' has no PGC number'}")
+    for tyc1, tyc2, tyc3, pgc, ra, dec, name in columns[[*TYC, "PGC", "ra", "dec", "class"]].itertuples(index=False):
+        if not 1 <= pgc <= LARGEST_PGC:
+            said = f": PGC = {pgc} does not fit bytes 14-18, from 1 to {LARGEST_PGC}" if pgc else " has no PGC number"
+            problems.append(f"TYC {tyc1}-{tyc2}-{tyc3}{said}")
         wrapped = 0.0 if f"{ra:.8f}" == "360.00000000" else ra
         lines.append(f"{tyc1:4d} {tyc2:5d} {tyc3:1d} {pgc:5d} {wrapped:12.8f} {dec:12.8f} {LETTERS[name]}\n")
     if problems:
