@@ -1,7 +1,6 @@
 """Computed against published: verdicts, allowances, claims and the command."""
 
 import json
-from collections import Counter
 from datetime import date
 from decimal import Decimal
 
@@ -141,7 +140,6 @@ def test_a_point_that_is_not_done_is_incomplete_and_not_left_out():
         assert [c.verdict for c in found] == ["reproduced", "incomplete", "NOT reproduced"]
         assert (reason in found[1].reason, verdicts.all_is_well(found[:2])) == (True, False)
         assert np.isnan(found[1].value)
-        assert Counter(verdicts.summary(found)) == Counter(c.verdict for c in found)
         assert verdicts.summary_line(found).startswith("1 reproduced, 0 within tolerance, 1 not reproduced, 1 inc")
 
 
@@ -181,9 +179,9 @@ def test_a_claim_about_points_that_are_not_done_not_finite_or_not_there(tmp_path
     ):
         comparison = only(grid(1.0, claims=[claim(**keys)]))
         assert (comparison.verdict, comparison.reason) == ("incomplete", reason)
-    rows = {"a": [1.0, 2.0, 2.0], "b": [1, 1, 2]}  # a table has no lines, and several points at one place
-    table = linksweep.run(lambda a, b: {"w": a * b}, tmp_path / "t", points=rows, pool="serial")
-    claims = [claim(slope={"variable": "w", "over": "a"}), claim(value={"variable": "w", "at": {"a": 2.0}})]
+    # a table has no lines, and several points at one place
+    table = linksweep.run(lambda a, b: a * b, tmp_path / "t", points={"a": [1, 2, 2], "b": [1, 1, 2]}, pool="serial")
+    claims = [claim(slope={"variable": "result", "over": "a"}), claim(value={"variable": "result", "at": {"a": 2}})]
     reasons = ["a is not an axis of this store", "several points of the store have a=2"]
     assert [c.reason for c in compare(table.assign_attrs(claims=json.dumps(claims)))] == reasons
 
