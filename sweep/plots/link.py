@@ -104,8 +104,7 @@ def sky_figure(dataset: xr.Dataset) -> Figure:
     broken = np.where(np.abs(np.diff(x, append=x[-1])) > 1.0, np.nan, plane_dec)
     axes.plot(x, broken, color="black", linewidth=0.9, zorder=2, label="Galactic plane")
     axes.plot(x[:1], plane_dec[:1], "k+", label="Galactic centre", markersize=9.0, zorder=4)
-    figure.set_label(title := str(dataset.attrs.get("title", "")))
-    style.complete(figure, title)
+    style.complete(figure, str(dataset.attrs.get("title", "")))
     return figure
 
 
@@ -183,8 +182,7 @@ def accuracy_figure(dataset: xr.Dataset) -> Figure:
                 axes.fill_between(v, curve - error, curve + error, **look, **style.BAND)
         style.logarithmic(axes, "y", dataset[variable].values)
         axes.set(xlabel=style.label(dataset["v"], "v"), ylabel=style.label(dataset[variable], variable))
-    figure.set_label(title := str(dataset.attrs.get("title", "")))
-    style.complete(figure, title)
+    style.complete(figure, str(dataset.attrs.get("title", "")))
     return figure
 
 

@@ -564,7 +564,7 @@ def caption(figure: Figure, dataset: xr.Dataset, with_answer: bool = False) -> s
     """Return the caption: the title, what the signs mean, and on request the answer of the study, or else the ranges
     of what is drawn.
     """
-    title = str(figure.get_label()).replace(r"\$", "$")
+    title = str(figure.get_label() or figure.get_suptitle()).replace(r"\$", "$").replace("\n", " ")
     parts = [f"{title}." if title and not title.endswith((".", "?", "!")) else title, *_signs(figure, dataset)]
     if with_answer and "status" in dataset:
         sentences = answer.conclusion_in_words(dataset) or _ranges(figure, dataset)

@@ -694,8 +694,8 @@ class Session:
             now = {"study_digest": whole.digest(), "error_convention": CONVENTION, BLOCKS: len(store.rows)}
             # What changes no point may be other than in the store, such as a claim, but for the name of a curve.
             now |= {"published_digest": whole.published.digest} if whole.published else {}
-            sections = json.loads(json.dumps({key: one for key, one in whole.sections.items() if key != "define"}))
-            is_same = sections.items() <= json.loads(store.attributes["study_document"]).items()
+            written, ours = (json.loads(one["study_document"]) for one in (store.attributes, provenance(whole)))
+            is_same = all(written.get(key) == ours[key] for key in whole.sections if key != "define")
             is_stored = is_same and now.items() <= store.attributes.items()
             failed = wanted is not None and not store.failures.keys().isdisjoint(wanted)
             session.is_left_alone = is_stored and not failed and not accumulator.survey.pending.blocks

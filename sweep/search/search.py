@@ -495,8 +495,7 @@ def _read_tyc(read: Columns) -> dict[str, Any]:
         return {}
     for key, limit in TYC_LIMITS.items():
         read.check(((tyc[key] < 1) | (tyc[key] > limit)).to_numpy(), f"a {read.label(key)} outside 1..{limit}")
-    if len(read.problems) == known:
-        read.check(tyc.duplicated().to_numpy(), "the Tycho identifier of an earlier row")
+    read.check(tyc.duplicated().to_numpy(), "the Tycho identifier of an earlier row")
     return dict(tyc)
 
 

@@ -555,9 +555,7 @@ class _Reader:
         """Return the sections that a store has as they are written, with references and files that work from any
         directory.
         """
-        written = {key: self.document[key] for key in SECTIONS if key in self.document and key != "define"}
-        text = json.dumps(written, default=lambda one: one.item() if hasattr(one, "item") else str(one))
-        sections: dict[str, Any] = json.loads(text)
+        sections = {key: self.document[key] for key in SECTIONS if key in self.document}
         sections |= {"define": self._absolute(form.define)} if form.define else {}
         if form.published is not None:
             sections["published"] = sections["published"] | {"file": str((self.folder / form.published.file).resolve())}

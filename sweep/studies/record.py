@@ -71,7 +71,9 @@ def recorded(study: Study, costs: Costs | None) -> str:
 def _jsonable(value: Any) -> Any:
     if isinstance(value, Named):
         return [value.name, value.identity]
-    return value.item() if hasattr(value, "item") else dict(value)  # numbers of NumPy, and mappings that are no dict
+    if isinstance(value, Mapping):
+        return dict(value)
+    return value.item() if hasattr(value, "item") else str(value)  # numbers of NumPy, and dates
 
 
 def recorded_study(attributes: Mapping[str, Any], where: str, *, whole: bool = False) -> Study:
@@ -171,7 +173,7 @@ def provenance(study: Study) -> dict[str, Any]:
         "shared_axes": json.dumps([axis for axis in study.axes if axis in experiment.shared]) if common else None,
         OUTER_DRAW: experiment.outer_draw if experiment.outer_draw not in ("", "outer draw") else None,
         CITATION: json.dumps(experiment.citation) if experiment.citation else None,
-        "study_document": json.dumps(study.document),
+        "study_document": json.dumps(study.document, default=_jsonable),
         "started": now(),
         "published_digest": study.published.digest if study.published else None,
         "claims": json.dumps(about) if about else None,
