@@ -109,7 +109,7 @@ REFUSED = [
     *((math.sin, "x is positional-only"), (lambda *args: 1, r"\*args is variadic"), (max, "its signature|is variadic")),
     *((lambda **options: 1, r"\*\*options is variadic"), (np.hypot, "a NumPy ufunc.*wrap it in a function")),
     *((Thing, "is a class"), (Thing.method, "is a method and takes self")),
-    *((waiting, "async"), (lambda x: (yield x), "a generator")),
+    *((waiting, "async"), (lambda x: (yield x), "a generator"), (functools.singledispatch(abs), "a singledispatch")),
     (odd, r"(?s)axes.x: x = 1.0: must be an object of another type.*, such as a date, 2024-06-01.*y has no default"),
 ]
 
