@@ -105,6 +105,9 @@ _BEGAN = time.time()
 # Our package, never looked for beside a user's file.
 OURS = "linksweep"
 
+# What a script is called, in a process that was spawned by the second name.
+MAIN = ("__main__", "__mp_main__")
+
 # Begins the parts with what names a value in its module, which counts where the value differs from process to process.
 STATEMENT = "statement "
 
@@ -132,6 +135,7 @@ def without_package(text: str) -> str:
     """Return a text without the packages of local modules, whose names differ from version to version, and with the
     name by which others import the module that `python -m` executes.
     """
+    text = re.sub(r"(?<![\w.'\"/])__mp_main__\b", MAIN[0], text) if MAIN[1] in text else text
     spec = getattr(sys.modules.get("__main__"), "__spec__", None) if "__main__" in text else None
     if spec and distributions_at(spec.origin, spec.name.partition(".")[0]) is None:  # else that executes a script
         text = re.sub(r"(?<![\w.'\"/])__main__\b", spec.name, text)
@@ -728,7 +732,7 @@ def _is_act(statement: ast.stmt, names: Names) -> bool:
     members = {one for each in nodes if isinstance(each, ast.ClassDef) for one in each.body}
     if any(isinstance(one, DEFINITIONS) and one not in members and _is_registered(one, names) for one in nodes):
         return True
-    if names.get("__name__") == "__main__":
+    if names.get("__name__") in MAIN:
         # functions of modules are no methods
         roots = [text.partition(".")[0] for text in _changed(nodes) if "." in text]
         return any(isinstance(names.get(root), ModuleType) for root in roots)
@@ -990,7 +994,7 @@ def keep(function: Callable[..., Any] | Experiment) -> str:
 def _importable(function: Callable[..., Any] | Experiment) -> str | None:
     """Return the reference by which a function can be imported anywhere, None for one of this session."""
     module, name = sys.modules.get(getattr(function, "__module__", None) or ""), getattr(function, "__qualname__", "")
-    if module is None or module.__name__ == "__main__" or getattr(module, name, None) is not function:
+    if module is None or module.__name__ in MAIN or getattr(module, name, None) is not function:
         return None
     file = getattr(module, "__file__", None) or ""
     is_beside = file.endswith(".py") and "." not in module.__name__ and distributions_of(module.__name__) is None

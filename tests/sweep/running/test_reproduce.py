@@ -39,7 +39,7 @@ SCRIPT = """
 import linksweep, math, time
 def double(x: float = 1.0): return 2.0 * x
 begun = {}; begun[math.copysign(1, 1)] = time.time()
-if __name__ == "__main__":
+if __name__.endswith("main__"):
     linksweep.run(double, axes={"x": [1.0, 2.0]}, store="s.zarr", pool="serial")
 """
 SCHEMES, HOSTS = ["tcp", "tls", "https", "s3", "WSS"], ["host", "a.b-c:1234", "x"]
@@ -122,8 +122,8 @@ def test_nothing_of_a_scripts_own_options(here, name, monkeypatch):
     (here / name).write_text(SCRIPT)
     monkeypatch.setattr(sys, "argv", [name, "--password", SECRET, f"--token={SECRET}"])
     monkeypatch.setattr(sys, "orig_argv", [sys.executable, *sys.argv])
-    for _ in "ab":
-        runpy.run_path(name, run_name="__main__")
+    for run_name in ("__main__", "__mp_main__"):  # and what multiprocessing calls it in a process that it spawns
+        runpy.run_path(name, run_name=run_name)
     (here / name).unlink()
     assert SECRET.encode() not in everything_in(here)
 
