@@ -254,8 +254,8 @@ def require_off_poles(dec: Array, cos_dec: Array) -> None:
 
 
 def pole_error(item: int, dec: float) -> LinkError:
-    """Return the error that names the object at a pole."""
-    said = f"object {item} is at a celestial pole or, with its error, beyond (dec = {np.degrees(dec)} deg):"
+    """Return the error that names the object at a pole, by its number from 1."""
+    said = f"object {item + 1} is at a celestial pole or, with its error, beyond (dec = {np.degrees(dec)} deg):"
     return LinkError(f"{said} ra is undefined there")
 
 

@@ -145,7 +145,7 @@ def test_an_object_that_its_error_carries_over_the_pole_is_named():
     objects = replace(points.drawn(5, n_obj=40), errors=OwnErrors(np.full((40, 4), MAS)), pmra=zero, pmdec=zero)
     objects.dec[35] = 90.0 * points.DEGREE - 0.5 * MAS
     physics = of_objects(objects, physics_of(**NORMAL, reference_errors="catalogue"))
-    with pytest.raises(LinkError, match=r"object 35 is at a celestial pole or, with its error, beyond"):
+    with pytest.raises(LinkError, match=r"object 36 is at a celestial pole or, with its error, beyond"):
         run(physics, 512)
 
 
