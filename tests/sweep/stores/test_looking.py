@@ -53,12 +53,12 @@ def honest(tmp_path_factory):
 
 
 @pytest.fixture
-def evil(tmp_path, honest):
+def evil(tmp_path_factory, honest):
     """A store whose code lies inside it, by a link, and leaves a marker when it is imported, and the marker."""
-    (place, code), store = honest, tmp_path / "g.zarr"
-    shutil.copytree(place / "g.zarr", store)
-    (tmp_path / "l").symlink_to(store)
-    forge(store, lambda told: told.update(study_document=told["study_document"].replace(str(place), f"{tmp_path}/l")))
+    (place, code), here = honest, tmp_path_factory.mktemp("here")  # each time another: code is imported once from one
+    shutil.copytree(place / "g.zarr", store := here / "g.zarr")
+    (here / "l").symlink_to(store)
+    forge(store, lambda told: told.update(study_document=told["study_document"].replace(str(place), f"{here}/l")))
     (store / "x.py").write_text(code)
     (store / "study.toml").write_text(STUDY)
     (place / "marker").unlink(missing_ok=True)
