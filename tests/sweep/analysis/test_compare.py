@@ -226,10 +226,6 @@ def test_a_store_carries_what_was_published_and_keeps_its_numbers(coins, here):
         edited = linksweep.open("s.zarr")["share_published"]
         assert (edited.attrs["source"], "tolerance" in edited.attrs) == ("Coins (1714)", False)
         assert (edited.max(), edited.size) == (printed, published.size)
-    # a row of a fixed parameter is found however its number is written
-    (here / "table.csv").write_text("chance,coins,share\n0.40,1,0.4\n.4,5,0.4\n0.5,20,0.4\n")
-    dataset = linksweep.run(published_coins | {"axes": {"coins": [1, 5, 20]}, "claim": []}, "t.zarr", pool="serial")
-    assert dataset["share_published"].notnull().values.tolist() == [True, True, False]
 
 
 def coin_study(folder, claim=f"tolerance = 0.2\ntolerance_reason = 'a coin'\n{PLACE}\n"):
@@ -286,9 +282,7 @@ def test_a_plain_function_has_claims_a_conclusion_and_published_numbers(tmp_path
     study["published"] = {"file": str(tmp_path / "p.csv"), "source": "Table 1"}
     dataset = linksweep.run(study, tmp_path / "s", pool="serial")
     found = compare(dataset)
-    judged = [(one.what, one.verdict) for one in found]
-    assert judged[:3] == [("w", "reproduced")] * 2 + [("lost", "incomplete")]
-    assert [verdict for _, verdict in judged[3:]] == ["reproduced"] * 2 + ["incomplete"] * 3
+    assert [one.verdict for one in found] == [*["reproduced"] * 2, "incomplete"] * 2 + ["incomplete"] * 2
     assert all(words in one.reason for words, one in zip(wrong.values(), found[5:], strict=True))
     said, words = linksweep.answer(dataset).sentences, ("It is 2.8", "depth is not a result of this store")
     assert all(one in sentence for one, sentence in zip(words, said, strict=True))
@@ -307,8 +301,9 @@ def test_published_numbers_stand_at_the_point_that_is_meant_also_if_it_is_exclud
     assert dataset["w_published"].attrs["outside_grid"] == 1
     judged = {(c.where["release"], c.where["k"]): c.verdict for c in compare(dataset)}
     assert [judged[place] for place in (("1.1", 1), ("1.1", 2), ("1.10", 1))] == ["incomplete", *["reproduced"] * 2]
-    (tmp_path / "p.csv").write_text("x,day,w\ntrue,2024-06-01,1\nFALSE,2024-06-01,0\n")
-    flags = {"experiment": lambda x, day: {"w": int(x)}, "published": study["published"]}
+    # numbers, truth values and dates are found however they are written
+    (tmp_path / "p.csv").write_text("x,day,k,w\ntrue,2024-06-01,0.40,1\nFALSE,2024-06-01,.4,0\n")
+    flags = {"experiment": lambda x, day, k=0.4: {"w": int(x)}, "published": study["published"]}
     flags["axes"], at = {"x": [False, True], "day": [date(2024, 6, 1)]}, {"x": True, "day": date(2024, 6, 1)}
     flags |= {"claim": [claim(value={"variable": "w", "at": at})], "figure": {"at": at}}
     found = compare(linksweep.run(flags, tmp_path / "b", pool="serial"))
