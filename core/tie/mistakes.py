@@ -236,27 +236,26 @@ def _of_sources(problem: Problem, sources: Indices) -> Iterator[_Part]:
 
 def _excess(problem: Problem, ratio: float) -> str:
     """Return a clause about the likely cause."""
-    causes = [cause for part in _wholes(problem) for cause in _causes(problem, part, ratio)]
+    causes = list(_causes(problem, _wholes(problem), ratio))
     alone = ""
     if ratio <= EXCESS:  # real stars may be as bad: only a correction after which all is well is a cause
         least = chdtri(problem.rows.present.sum(), 0.001) / problem.rows.present.sum()
         causes = [cause for cause in causes if not cause.hides and cause.ratio < least]
-    elif not causes or min(cause.ratio for cause in causes) > GOOD:
+    elif not any(cause.ratio < GOOD and not cause.hides for cause in causes):
+        best = min((cause.ratio for cause in causes), default=EXCESS)
         worst, left = _outliers(problem, ratio)
         exchanged = _exchanged(problem, problem)
         causes += [Cause(words, after) for words, _, one in exchanged if explains(after := _ratio(one), ratio)]
-        if len(worst):
+        if left < max(GOOD, best):
             of_worst = np.isin(problem.source, worst)
             alone = f"without {_listed(problem, worst)} it is {left:.2g} times its expectation; "
-            for part in _of_sources(problem, worst):
-                causes += _causes(problem, part, ratio)
+            causes += _causes(problem, _of_sources(problem, worst), ratio)
             # corrected, these sources are to fit as the others do
             n = np.array([np.sum(problem.rows.present[:, at]) for at in (~of_worst, of_worst)])
             most = min(GOOD, (left * n[0] + max(left, 1.0) * chdtri(n[1], CHANCE)) / n.sum())
             causes = [cause for cause in causes if not cause.hides and cause.ratio < most]
-        else:
-            for part in [*_by_kind(problem), *_by_epoch(problem)]:
-                causes += _causes(problem, part, ratio)
+        elif best > GOOD:
+            causes += _causes(problem, [*_by_kind(problem), *_by_epoch(problem)], ratio)
     # a correction that hides much may hide two mistakes
     if ratio > EXCESS and not alone and not any(cause.ratio < GOOD and not cause.hides for cause in causes):
         causes = _two(problem) or causes
@@ -325,25 +324,26 @@ def explains(corrected: float, ratio: float) -> bool:
     return corrected < EXCESS and corrected < (0.1 if ratio > EXCESS else 0.5) * ratio
 
 
-def _causes(problem: Problem, part: _Part, ratio: float) -> Iterator[Cause]:
-    """Yield the mistakes in a part whose correction brings chi2 down to the level of good tables."""
-    for words, hides, trial in chain(_trials(problem, [part]), _shifted(problem, part)):
-        # errors that are too small are so for all sources
-        if explains(corrected := _ratio(trial), ratio) and (not hides or 0.1 < _ratio(trial, typical=True) < GOOD):
-            yield Cause(words, corrected, hides)
-    if part.table == "satellite" or np.count_nonzero(part.at) < 3:
-        return
-    epochs = np.unique(problem.rows.epoch[part.at & problem.rows.present[0]])
-    free = {100.0: "wrong in single rows: positions are off along the proper motion"}
-    if len(epochs) == 1:
-        free[100.0] = f"equal ({epochs[0]:g}), but they were measured at different ones"
-    elif steps := [step for step in STEPS if np.all(np.abs(epochs - step * np.round(epochs / step)) < 1e-6)]:
-        free = {0.6 * steps[0]: f"in steps of {steps[0]:g} yr, in which stars move by more than the errors"} | free
-    for years, words in free.items():
-        along, across = (_ratio(_applied(problem, part, _freed(problem, turn, years))) for turn in (False, True))
-        if explains(along, ratio) and across > max(GOOD, 2.0 * along):
-            yield Cause(f"epochs of {part.words} {words}", along, 1)
-            return
+def _causes(problem: Problem, parts: Iterable[_Part], ratio: float) -> Iterator[Cause]:
+    """Yield the mistakes in parts whose correction brings chi2 down to the level of good tables."""
+    for part in parts:
+        for words, hides, trial in chain(_trials(problem, [part]), _shifted(problem, part)):
+            # errors that are too small are so for all sources
+            if explains(corrected := _ratio(trial), ratio) and (not hides or 0.1 < _ratio(trial, typical=True) < GOOD):
+                yield Cause(words, corrected, hides)
+        if part.table == "satellite" or np.count_nonzero(part.at) < 3:
+            continue
+        epochs = np.unique(problem.rows.epoch[part.at & problem.rows.present[0]])
+        free = {100.0: "wrong in single rows: positions are off along the proper motion"}
+        if len(epochs) == 1:
+            free[100.0] = f"equal ({epochs[0]:g}), but they were measured at different ones"
+        elif steps := [step for step in STEPS if np.all(np.abs(epochs - step * np.round(epochs / step)) < 1e-6)]:
+            free = {0.6 * steps[0]: f"in steps of {steps[0]:g} yr, in which stars move by more than the errors"} | free
+        for years, words in free.items():
+            along, across = (_ratio(_applied(problem, part, _freed(problem, turn, years))) for turn in (False, True))
+            if explains(along, ratio) and across > max(GOOD, 2.0 * along):
+                yield Cause(f"epochs of {part.words} {words}", along, 1)
+                break
 
 
 def impossible(errors: Array, epoch: Array) -> Flags:
@@ -370,7 +370,7 @@ def _two(problem: Problem) -> list[Cause]:
     causes: dict[frozenset[str], Cause] = {}  # the same two in either order are one
     for after, words, trial in best[:TWICE]:
         if after < 0.9 * _ratio(free):
-            for cause in (cause for part in wholes for cause in _causes(trial, part, _ratio(trial))):
+            for cause in _causes(trial, wholes, _ratio(trial)):
                 if cause.ratio < GOOD and not cause.hides:
                     both = Cause(f"{words}, and {cause.words}", cause.ratio)
                     causes.setdefault(frozenset((words, cause.words)), both)
@@ -493,10 +493,10 @@ def _freed(problem: Problem, turned: bool, years: float) -> Change:
 
 
 def _applied(problem: Problem, part: _Part, change: Change) -> Problem | None:
-    """Return the problem with a part of a table changed; None where that changes nothing."""
+    """Return the problem with a part of a table changed as if it were alone; None where that changes nothing."""
     of_satellite = part.table == "satellite"
     table = problem.satellite if of_satellite else problem.rows
-    new, arrays, differs = change(table), {}, False
+    new, arrays, differs = change(replace(table, errors=np.where(part.at, table.errors, np.nan))), {}, False
     for name in ("values", "errors", "epoch", "apparent", "correlations", "further", "averaged"):
         if (after := getattr(new, name)) is not None:
             before = getattr(table, name)
@@ -554,7 +554,7 @@ def best_shift(at: Callable[[float], float]) -> float:
         curvature = low + high - 2.0 * here
         if not 0.0 < curvature < np.inf:
             break
-        shift = float(np.clip(shift - 0.5 * step * (high - low) / curvature, -200.0, 200.0))
+        shift = min(shift, float(np.clip(shift - 0.5 * step * (high - low) / curvature, -200.0, 200.0)), key=at)
     return shift
 
 

@@ -60,13 +60,9 @@ def epochs_moved(years):
     return {"ref_epoch": lambda table: table["ref_epoch"] + years}
 
 
-def one_missing(table):
-    """Parallaxes, of which one is a number that stands for none; the reference has none of this star."""
-    return np.where(np.arange(len(table)) == 1, 999.0, table["parallax"])
-
-
-def one_reversed(table):
-    return np.where(np.arange(len(table)) == np.argmax(np.abs(table["pmra"])), -1.0, 1.0) * table["pmra"]
+def of_one(name, change):
+    """Return a column that is changed where the motion is largest, or in the first row that has none."""
+    return {name: lambda t: np.where(np.arange(len(t)) == np.argmax(np.abs(t["pmra"])), change(t[name]), t[name])}
 
 
 def twice_with_other_digits(table, rng):
@@ -99,7 +95,9 @@ def in_frame(table, rng, frame):
 
 MISTAKES = {
     "a century early there": ("reference", epochs_moved(-150.0), "no position .* of the reference 150 years too early"),
-    "one star reversed": ("satellite", {"pmra": one_reversed}, r"pmra of \d+ in the satellite with reversed sign"),
+    "one star reversed": ("satellite", of_one("pmra", np.negative), r"pmra of \d+ in the satellite with reversed sign"),
+    "one star in arcsec": ("satellite", of_one("pmra", lambda pm: pm / 1e3), r"pmra of \d+ in the satellite, arcsec"),
+    "one row late there": ("reference", of_one("ref_epoch", lambda t: t + 7), r"row of .* (7|6.95) years too late"),
     "errors in uas": ("satellite", scaled(ERRORS, 1e3), "too large, uas taken for mas"),
     "one row twice": ("reference", twice_with_other_digits, "(nearly the|the same) numbers (of|as) another row"),
     "B1950": ("reference", partial(in_frame, frame="fk4"), r"positions of reference.fits of the equinox B1950\?"),
@@ -121,7 +119,7 @@ MISTAKES = {
     "errors of ra in seconds": ("reference", scaled(["ra_error"], 1.0 / 1.5e4), "errors of ra.*(seconds of t|no inst)"),
     "errors in mas declared as deg": ("reference", DECLARED, "mas taken for deg"),
     "motion errors in uas": ("satellite", scaled(ERRORS[3:], 1e3), "of pmra are .* those of ra: is one .* in another"),
-    "one parallax missing": ("satellite", {"parallax": one_missing}, r"without \d+ it is .*; no known mistake"),
+    "one parallax missing": ("satellite", of_one("parallax", lambda _: 999), r"without \d+ it is .*; no known mistake"),
     "no correlations": ("satellite", lambda table, rng: table.remove_columns(CORRELATIONS), "no correlations"),
     "errors that are NaN": ("reference", errors_nan, "rows have no error of ra, dec"),
     "names exchanged": ("reference", names_exchanged, "exchanged"),
