@@ -251,9 +251,6 @@ class Matches:
     def __getitem__(self, name: str) -> Any:
         return self.table[name].to_numpy()
 
-    def __len__(self) -> int:
-        return len(self.table)
-
 
 def cross_match(
     stars: Positions, supplement: Flags, catalogues: Sequence[GalaxyCatalogue], asked: SearchOptions = DEFAULTS
@@ -289,9 +286,8 @@ def cross_match(
     ra_error, dec_error = np.hypot(here.ra_error, table["ra_error"]), np.hypot(here.dec_error, table["dec_error"])
     n_sigma = np.hypot(d_ra / ra_error, d_dec / dec_error).to_numpy()
     n_near = star_tree.query_ball_point(here.vectors, chord(asked.crowding_radius * ARCSEC), return_length=True) - 1
-    n_rival = table["n_rival"].to_numpy()
-    doubts = {"crowded": n_near >= asked.crowding_stars, "offset": n_sigma > asked.k_sigma, "rival": n_rival > 0}
-    reasons = pd.DataFrame(doubts)
+    crowded, far = n_near >= asked.crowding_stars, n_sigma > asked.k_sigma
+    reasons = pd.DataFrame({"crowded": crowded, "offset": far, "rival": table["n_rival"].to_numpy() > 0})
     # the supplement is a class of its own, as in the paper, whatever the doubts
     code = np.where(table["supplement"], 2, reasons.any(axis=1))
     match = table[["star", "galaxy"]].assign(match=np.arange(len(table)))

@@ -112,7 +112,7 @@ def matched(stars, catalogues):
     matches = cross_match(stars, np.zeros(len(stars.ra), dtype=bool), catalogues)
     for column in (matches["star"], matches["galaxy"], matches["identifier"][matches["identifier"] > 0]):
         assert len(set(column.tolist())) == len(column)
-    assert matches.found_in[np.arange(len(matches)), matches["catalogue"]].all()
+    assert matches.found_in[np.arange(len(matches.table)), matches["catalogue"]].all()
     there = [catalogues[c].positions.take(e) for c, e in zip(matches["catalogue"], matches["entry"], strict=True)]
     here = stars.take(matches["star"])
     return sorted(zip(here.ra, here.dec, [g.ra for g in there], [g.dec for g in there], matches["class"], strict=True))

@@ -148,7 +148,6 @@ def test_no_match_still_makes_every_output(folder):
 def test_missing_proper_motions_may_be_zero(folder):
     pm = MaskedColumn([0.0, 0.0, 0.0, 6000.0], mask=[1, 0, 0, 0])
     star_table(pmra=pm).write("stars.fits", overwrite=True)
-    assert "no proper motion (--missing-pm zero takes it as zero) in row 1" in run(*ARGUMENTS).output
     result = run(*ARGUMENTS, "--missing-pm", "zero", "--json")
     assert json.loads(result.stdout)["notes"] == ["stars of stars without a proper motion, which was taken as zero: 1"]
     assert read_matches(folder / "results" / "matches.ecsv")["star_pmra"].mask.tolist() == [False, True, False]
