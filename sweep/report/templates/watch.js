@@ -6,10 +6,10 @@
   const put = (place, html) => {
     const made = document.createElement("template");
     made.innerHTML = html;
-    const [before, after] = [place, made.content].map((one) => [...one.querySelectorAll(".tiles > i")]);
+    const [before, after] = [place, made.content].map((one) => [...one.querySelectorAll(".tiles, .tiles > i")]);
     if (after.length && before.length === after.length) {
-      after.forEach((tile, i) => {
-        for (const name of ["class", "style", "title"]) before[i].setAttribute(name, tile.getAttribute(name));
+      after.forEach((one, i) => {
+        for (const { name, value } of one.attributes) before[i].setAttribute(name, value);
       });
       return;
     }
