@@ -647,13 +647,7 @@ class Session:
 
     @classmethod
     def open(
-        cls,
-        grid: Grid,
-        where: Where,
-        *,
-        writes: bool = False,
-        accept_code: bool = False,
-        beside: Beside = ALL,
+        cls, grid: Grid, where: Where, *, writes: bool = False, accept_code: bool = False, beside: Beside = ALL
     ) -> "Session":
         """Open the study of a grid and its store, if there is one, with the points that this holds ``beside`` it.
 

@@ -79,7 +79,7 @@ def test_json_is_exact(folder, sweep):
 
 
 @pytest.mark.parametrize(
-    ("look", "kind"), [("show", "dumb"), *(slow(one, "xterm") for one in ("show", "compare", "status"))]
+    ("look", "kind"), [("show", "dumb"), *(slow(x, "xterm") for x in ("show", "compare", "status"))]
 )
 def test_a_terminal_gets_styles_of_ours_alone(folder, look, kind):
     (ours, theirs), said = pty.openpty(), b""

@@ -242,8 +242,7 @@ def test_a_notebook_does_not_call_a_run_with_failures_done(tmp_path, monkeypatch
         assert shown[-1].endswith("9 done, 9 failed of 18 points, ended")
     run_study(odd_study(1), tmp_path / "one.zarr", SERIAL, progress.NotebookProgress(odd_study(1)))
     assert shown[-1].endswith("1/1 points, done")
-    printed = capsys.readouterr().err
-    assert ("failed at x=" in printed, "Traceback" in printed) == (True, False)
+    assert "Traceback" not in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("pool", [("--pool", "serial"), (), *map(slow, (THREADS, ("--workers", "2"), LIMITS))], ids=str)
