@@ -241,7 +241,7 @@ def in_unit(cells: list[Any], theirs: str, parameter: Parameter) -> list[Any]:
     """
     unit = parameter.unit
     if parameter.kind == "object":
-        return [None if cell is None else quantity_of(cell, theirs) for cell in cells]
+        return [cell if cell is None or isinstance(cell, str) else quantity_of(cell, theirs) for cell in cells]
     factor = factor_between(theirs, unit)
     if factor is None or (factor != 1.0 and not set(map(type, cells)) <= {int, float, str, bool, type(None)}):
         words = f"is in {unit}" if unit else "has no unit; give numbers, declare its unit, or annotate it with Quantity"
