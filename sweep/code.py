@@ -390,7 +390,7 @@ class Reach:
         if name in self.modules:
             return
         self.modules[name] = module
-        self._is_users(getattr(module.__spec__, "name", name).rpartition(".")[0])  # its package is imported before
+        self._is_users(getattr(vars(module).get("__spec__"), "name", name).rpartition(".")[0])  # its package is first
         if file.endswith(tuple(EXTENSION_SUFFIXES)):
             self._keep(f"file {Path(file).name}", digest_of(Path(file).read_bytes()))
         for one in tree_of(file, vars(module)).body:
@@ -416,7 +416,8 @@ class Reach:
         name, names = home_of(name, names, value)
         if not self._is_users(names.get("__name__")):  # what a library has besides code, such as a table, is its own
             return self._code(value) or ""
-        return self._refer(without_package(f"{names.get('__name__')}.{name}"), value, names)
+        module = names.get("__name__", MAIN[0])  # IPython takes it from what %run has executed
+        return self._refer(without_package(f"{module}.{name}"), value, names)
 
     def _function(self, function: FunctionType) -> None:
         """Add a function, and what it changes while it runs."""

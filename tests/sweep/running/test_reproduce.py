@@ -37,7 +37,8 @@ ACCEPTED = "import linksweep, os\n@linksweep.experiment(deterministic=False, vec
 SECRET = "hunter2"
 SCRIPT = """
 import linksweep, math, time
-def double(x: float = 1.0): return 2.0 * x
+two = 2.0
+def double(x): return two * x
 begun = {}; begun[math.copysign(1, 1)] = time.time()
 if __name__.endswith("main__"):
     linksweep.run(double, axes={"x": [1.0, 2.0]}, store="s.zarr", pool="serial")
@@ -123,7 +124,13 @@ def test_nothing_of_a_scripts_own_options(here, name, monkeypatch):
     monkeypatch.setattr(sys, "argv", [name, "--password", SECRET, f"--token={SECRET}"])
     monkeypatch.setattr(sys, "orig_argv", [sys.executable, *sys.argv])
     for run_name in ("__main__", "__mp_main__"):  # and what multiprocessing calls it in a process that it spawns
-        runpy.run_path(name, run_name=run_name)
+        double = runpy.run_path(name, run_name=run_name)["double"]
+    del (main := type(sys)("__main__")).__spec__  # as IPython has it when it executes %run again
+    monkeypatch.setitem(sys.modules, "__main__", main)
+    double = type(double)(double.__code__, names := {"two": 2.0, "__name__": "__main__"})
+    for _ in "ab":
+        linksweep.run(double, "s.zarr", axes={"x": [1.0, 2.0]}, pool="serial")
+        names.pop("__name__", None)  # as from functions that %run has left
     (here / name).unlink()
     assert SECRET.encode() not in everything_in(here)
 
