@@ -860,15 +860,19 @@ def _scatter_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[st
     for confidence, line in ((0.683, "solid"), (0.954, "dashed")):
         look = {"linestyle": line, "label": f"{100 * confidence:.0f} % of their normal law"}
         axes.add_patch(style.confidence_ellipse(mean, covariance, confidence, edgecolor=style.COLOURS[1], **look))
-    axes.errorbar(*mean, *(sigma / np.sqrt(n))[::-1], label="mean", **style.marks(1, 3.0))
+    of_mean = sigma / np.sqrt(n)
     if "bias" in dataset and dimension in dataset["bias"].dims:
         truth = mean - factor * dataset["bias"].sel({dimension: names}).values
         axes.plot(*truth, "x", color="black", label="truth", markersize=9.0, markeredgewidth=1.4)
+        if (error := quantity.standard_error(dataset, "bias")) is not None:  # estimates of one draw share its bias
+            of_mean = factor * error.sel({dimension: names}).values
+    axes.errorbar(*mean, *of_mean[::-1], label="mean", **style.marks(1, 3.0))
     words = []
     for which, name, spread, unit in zip("xy", names, sigma, units, strict=True):
         axes.set(**{f"{which}label": style.label(dataset[variable], name, unit)})
-        text = formatting.with_error(spread, spread / np.sqrt(2 * n))
-        words.append(rf"$\sigma$({style.symbol(name)}) = {text} {formatting.written(unit)}")
+        form = formatting.with_error if dataset.attrs.get("n_cat", 1) == 1 else formatting.rounded
+        text = form(spread, spread / np.sqrt(2 * n))  # the error holds for estimates of one draw
+        words.append(rf"std({style.symbol(name)}) = {text} {formatting.written(unit)}")
     style.legend(figure, title="\n".join([*words, rf"correlation ${covariance[0, 1] / np.prod(sigma):+.2f}$"]))
     return figure
 

@@ -103,6 +103,8 @@ def test_a_scatter_has_all_estimates_ellipses_and_truth(dataset_of):
     assert (np.array_equal(axes.lines[0].get_xydata().T, [x, y]), axes.get_aspect()) == (True, 1.0)
     truth = next(line for line in axes.lines if line.get_label() == "truth")
     assert (truth.get_xdata()[0], truth.get_ydata()[0]) == pytest.approx((1.0, 1.0), abs=1e-9)  # of the study
+    mean = np.ptp(axes.containers[0].lines[2][0].get_segments()[0][:, 0]) / 2.0  # its error is that of the bias
+    assert mean == pytest.approx(dataset["bias_mc_error"].sel(component="omega_x").item())
     offset = np.stack([x - x.mean(), y - y.mean()])
     distance = np.einsum("in,ij,jn->n", offset, np.linalg.inv(np.cov(x, y)), offset)
     for ellipse, share in zip(axes.patches, (0.683, 0.954), strict=True):
