@@ -423,7 +423,7 @@ class Columns:
                 try:
                     # astropy warns of years whose leap seconds are not known
                     with warnings.catch_warnings(action="ignore"):
-                        years[row] = Time(_YEAR.sub(r"J\g<0>", texts[row]).removesuffix("Z")).jyear
+                        years[row] = Time(_YEAR.sub(r"J\g<0>", texts[row].partition("+00:00")[0].rstrip("Z"))).jyear
                 except ValueError:
                     said = f"row {row + 1} has {str(texts[row])!r}"
                     self.problems.append(f"column {name!r} is text that is no date like 2015-06-01 or J2015.5: {said}")
