@@ -103,6 +103,9 @@ def test_times_along_a_dimension_are_days_in_words_figures_and_options(tmp_path)
 
 
 def test_a_logarithm_needs_numbers_above_zero(tmp_path):
+    for lowest, scale in (-1.0, "linear"), (1.0, "log"):  # a prediction is seen, too
+        ds = results(x := [1.0, 10.0, 100.0]).assign(y=("x", x), y_predicted=("x", [lowest, *x[1:]]))
+        assert linksweep.plot(ds).axes[0].get_yscale() == scale
     with pytest.raises(linksweep.SweepError, match="x = 0: a logarithmic axis has only numbers above zero"):
         linksweep.plot(results([0.0, 1.0, 10.0]), log=["x"])
     wrong = {"title": "a", "axes": {"sky_contrast": [0.0, 0.5]}, "figure": {"log": ["sky_contrast", "n_obi"]}}
