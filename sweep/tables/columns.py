@@ -130,7 +130,7 @@ def column_of(quantity: str, names: Collection[str], columns: Mapping[str, str] 
         return columns[quantity]
     stem = quantity.removesuffix("_error")
     if stem != quantity and not quantity.startswith(_SIDES):
-        stems = dict.fromkeys([column_of(stem, names, columns) or stem, stem])
+        stems = dict.fromkeys([column_of(stem, names, columns) or stem, stem, *NAMES.get(stem, ())])
         return first_found([form.format(one) for one in stems for form in ERROR_NAMES], names)
     return first_found((quantity, *CORRELATIONS.get(quantity, NAMES.get(quantity, ()))), names)
 

@@ -152,10 +152,10 @@ def test_rows_of_texts_are_no_units(first, below, tmp_path):
 
 
 def test_units_in_names_and_errors_of_parts_are_found(tmp_path):
-    text = "Name (old),RA [deg],Dec (J2016.0),RA_err (uas),pmRA [arcsec/century]\nA,10.5,20,3,1\n"
+    text = "Name (old),RA [deg],Dec (J2016.0),RA_err (uas),e_DE,pmRA [arcsec/century]\nA,10.5,20,3,4,1\n"
     read = Columns(read_table(written(tmp_path, "t.csv", text)))
-    found = [read.quantity(name)[0] for name in ("ra", "dec", "ra_error", "pmra")]
-    np.testing.assert_allclose(found, [10.5, 20.0, 0.003, np.nan])
+    found = [read.quantity(name)[0] for name in ("ra", "dec", "ra_error", "dec_error", "pmra")]
+    np.testing.assert_allclose(found, [10.5, 20.0, 0.003, 4.0, np.nan])
     assert read.problems == ["column 'pmRA [arcsec/century]' is in arcsec/century, not convertible to mas / yr"]
     text = "Name RAh RAm RAs DE- DEd DEm DEs e_RAs e_DEs\nA 01 00 00.0 - 30 00 00.0 0.001 0.02\n"
     read = Columns(read_table(written(tmp_path, "t.txt", text)))
