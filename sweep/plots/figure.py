@@ -132,7 +132,7 @@ def _study_figure(dataset: xr.Dataset, kind: str | None, variables: list[str], o
     possible = [name for name, one in KINDS["grid"].items() if one.load().possible(part, names[0])]
     chosen = kind or _suitable(part, names[0], over)
     if chosen not in possible:
-        raise SweepError(f"no {chosen} of {names[0]} here; possible are {', '.join(possible) or 'none'}")
+        raise SweepError(f"no kind {shown(chosen)} of {names[0]} here; possible are {', '.join(possible) or 'none'}")
     if chosen in ("law", "map", "pairs") and len(names) > 1:
         raise SweepError(f"a figure of the kind {chosen} is of one variable, not of {', '.join(names)}")
     return _draw(part, chosen, names, over)
