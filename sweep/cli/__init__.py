@@ -8,6 +8,7 @@ key, so that nothing heavy is imported here.
 
 import ast
 import atexit
+import codecs
 import errno
 import gc
 import inspect
@@ -349,6 +350,9 @@ SECTIONS: dict[str, dict[str, str]] = {name: {} for name in ("Run", "Look", "Com
 RESULTS: list[Any] = [None]
 """The standard output of the command: while it works, `sys.stdout` is standard error, for what others print."""
 
+# What tables and tiles are made of, for streams whose encoding lacks it.
+PLAIN = {"±": "+-", "█": "#", "×": "x", "·": ".", "…": ".", **dict(zip("▁▂▃▄▅▆▇", "1234567", strict=True))}
+
 # Else Python searches all imports for garbage at the end, which takes a fifth of a second.
 atexit.register(gc.freeze)
 
@@ -555,6 +559,15 @@ def _harmless_streams() -> Iterator[None]:
         raise
 
 
+def _plainly(error: UnicodeError) -> tuple[str | bytes, int]:
+    if isinstance(error, UnicodeEncodeError) and (plain := PLAIN.get(error.object[error.start])):
+        return plain, error.start + 1
+    return codecs.backslashreplace_errors(error)
+
+
+codecs.register_error("plainly", _plainly)
+
+
 def prepare_streams() -> None:
     """Make the standard streams usable whatever this process was started with.
 
@@ -565,10 +578,7 @@ def prepare_streams() -> None:
         try:
             os.fstat(descriptor)
         except OSError:
-            opened = os.open(os.devnull, os.O_RDWR)
-            if opened != descriptor:
-                os.dup2(opened, descriptor)
-                os.close(opened)
+            os.open(os.devnull, os.O_RDWR)  # becomes the first that is free
     out = 1
     if not os.path.samestat(os.fstat(1), os.fstat(2)):
         # What C code prints, and programs that code of the user's starts, is no result.
@@ -582,7 +592,7 @@ def prepare_streams() -> None:
             lines = any(getattr(stream, kind, False) for kind in ("line_buffering", "write_through"))
             file = io.BufferedWriter(_Unfailing(descriptor, "wb", closefd=False))
             encoding = getattr(stream, "encoding", "utf-8")
-            setattr(sys, name, io.TextIOWrapper(file, encoding, "backslashreplace", None, lines))
+            setattr(sys, name, io.TextIOWrapper(file, encoding, "plainly", None, lines))
 
 
 def put(text: str = "") -> None:

@@ -702,7 +702,7 @@ def params(
     is_study = experiment.endswith(".toml") or experiment in built_in_studies()
     declared = linksweep.load_study(experiment).experiment if is_study else load_experiment(experiment)
     if schema:
-        cli.put(json.dumps(made.study_schema(declared), indent=1, ensure_ascii=False))
+        cli.put(to_json(made.study_schema(declared)))
         return
     rows = [
         {name: getattr(p, name) for name in ("name", "unit", "default", "required", "meaning")}

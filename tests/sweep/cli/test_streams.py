@@ -12,7 +12,7 @@ import linksweep
 from tests.tiers import slow
 
 UNSAYABLE = r"""
-def f(place: int):
+def f(place: int, größe: float = 1.0):
     if place == 2:
         raise ValueError("\udc80 " + "x" * 10**6 + " the end")
     return place
@@ -87,6 +87,12 @@ def test_a_run_whose_streams_are_closed_or_full_is_kept(link_study, tmp_path):
 
 def test_a_wrong_option_keeps_its_exit_code_without_standard_error():
     assert shell("2>/dev/full", "nonsense") == shell("2>&-", "nonsense") == (2, "", "")
+
+
+def test_tiles_are_seen_and_json_is_json_in_ascii(store, monkeypatch):
+    monkeypatch.setenv("PYTHONIOENCODING", "ascii")
+    assert json.loads(shell("", "params", f"{store.parent}/f.py:f", "--schema")[1])
+    assert "##xx##" in shell("", "watch", store)[1].split()
 
 
 @pytest.mark.slow
