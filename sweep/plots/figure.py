@@ -324,9 +324,8 @@ def _panels(
         if shares not in wholes:
             whole = quantity.in_readable_units(dataset.isel(alone))
             parts = quantity.parts_of(whole, name)
-            is_seen = all(not (parts[part] <= 0.0).any() for part in ("predicted", "published") if part in parts)
-            is_log = style.is_logarithmic(whole[name]) and (is_seen or style.SCALE in whole[name].attrs)
-            scale = "log" if is_log else "linear"
+            beside = [parts[part] for part in ("predicted", "published") if part in parts]
+            scale = "log" if style.is_logarithmic(whole[name], *beside) else "linear"
             wholes[shares] = whole.assign({name: whole[name].assign_attrs({style.SCALE: scale})})
         part = wholes[shares].isel({d: i for d, i in place.items() if d != far})
         if np.isfinite(part[name].values.astype(float)).any():

@@ -352,12 +352,13 @@ def form_of(dataset: xr.Dataset) -> FigureForm:
         return FigureForm.model_validate(json.loads(dataset.attrs.get("study_document", "{}")).get("figure", {}))
 
 
-def is_logarithmic(array: xr.DataArray) -> bool:
+def is_logarithmic(array: xr.DataArray, *beside: xr.DataArray) -> bool:
     """Return whether numbers are drawn on a logarithmic axis: as was chosen, or by their spacing.
 
     Equal steps make it linear, equal ratios logarithmic.  Others, such as results, have the scale on which they are
     nearer to equal steps, the logarithmic one only where they span more than `WIDE_RATIO`.  Numbers that are logarithms
-    already have a linear one.  Raises SweepError where a logarithmic axis is wanted for numbers not above zero.
+    already have a linear one, and so do those with others ``beside`` them that are not above zero.  Raises SweepError
+    where a logarithmic axis is wanted for numbers not above zero.
     """
     known = np.unique(array.values.astype(float))
     known = known[np.isfinite(known)]
@@ -365,7 +366,8 @@ def is_logarithmic(array: xr.DataArray) -> bool:
         raise SweepError(f"{array.name} = {formatting.plain(known)[0]}: a logarithmic axis has only numbers above zero")
     if SCALE in array.attrs:
         return bool(array.attrs[SCALE] == "log")
-    if known.size < 3 or known[0] <= 0.0 or formatting.units_of(array.attrs) in formatting.LOGARITHMIC_UNITS:
+    is_seen = not any((one <= 0.0).any() for one in (array, *beside))
+    if known.size < 3 or not is_seen or formatting.units_of(array.attrs) in formatting.LOGARITHMIC_UNITS:
         return False
     of_ratios = unevenness(np.log(known))
     return of_ratios < unevenness(known) and (of_ratios < EVEN or bool(known[-1] > WIDE_RATIO * known[0]))
