@@ -154,25 +154,23 @@ def client_at(address: str, security: Security | None = None) -> Iterator[Client
             raise SweepError(f"{address!r} is the address of a Dask {kind.lower()}, not of a scheduler")
         with warnings.catch_warnings(action="ignore"):  # of other versions: `DaskDriver` says it in words
             client = Client(address, timeout=CONNECT_TIMEOUT_S, set_as_default=False, security=security)
-    except (OSError, ValueError, TypeError, TimeoutError) as error:
-        reason = f": {cause}" if str(cause := _first_cause(error)) else ""
+    except SweepError:
+        raise
+    except Exception as error:  # also whatever Dask makes of the words of another kind of server
+        other = "" if isinstance(cause := _first_cause(error), OSError) else "what answers is no Dask server: "
+        reason = f": {other}{cause}" if str(cause) else ""
         raise SweepError(f"no Dask scheduler answers at {address!r} within {CONNECT_TIMEOUT_S} s{reason}") from error
     with client:
         yield client
 
 
 async def _kind_of_server(address: str, options: dict[str, Any]) -> str:
-    """Return what kind of Dask server answers; raises OSError or TimeoutError.
+    """Return what kind of Dask server answers; raises whatever Dask makes of another one.
 
     A client would wait for ever for the handshake of a server that says nothing, such as a scheduler that is stopped.
     """
-    try:
-        async with rpc(address, timeout=CONNECT_TIMEOUT_S, connection_args=options) as server:
-            return str((await asyncio.wait_for(server.identity(), CONNECT_TIMEOUT_S))["type"])
-    except (OSError, TimeoutError):
-        raise
-    except Exception as error:  # whatever Dask makes of the words of another kind of server
-        raise OSError(f"what answers is no Dask server ({type(error).__name__}: {error})") from None
+    async with rpc(address, timeout=CONNECT_TIMEOUT_S, connection_args=options) as server:
+        return str((await asyncio.wait_for(server.identity(), CONNECT_TIMEOUT_S))["type"])
 
 
 def tls(ca: Path, cert: Path, key: Path) -> Security:
