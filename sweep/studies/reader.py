@@ -222,9 +222,9 @@ def parse_axis(text: str, is_text: bool = False) -> Any:
 def _split(text: str, is_text: bool = False) -> list[Any]:
     """Return values with commas between them; raises SweepError where a comma would cut a text in quotes or a list."""
     parts = [part.strip() for part in text.split(",")]
-    ends = {"'": "'", '"': '"', "[": "]", "(": ")", "{": "}"}
     for part in parts:
-        if part[:1] in ends and (len(part) == 1 or part[-1] != ends[part[0]]):
+        is_cut = part[:1] in ("'", '"') and (len(part) == 1 or part[-1] != part[0])
+        if is_cut or (len(parts) > 1 and any(part.count(one) > part.count(end) for one, end in ("[]", "()", "{}"))):
             raise SweepError(f'{shown(part)}: commas divide values; those with commas are written ["a,b", [1, 2]]')
     return [parse_value(part, is_text) for part in parts]
 
