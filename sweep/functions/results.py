@@ -390,9 +390,7 @@ def _times(array: NDArray[Any]) -> NDArray[Any]:
     except OverflowError:  # older NumPy wraps around instead
         exact = False
     if not exact:
-        raise ResultError(
-            "has times beyond the years 1678 to 2261, or finer than nanoseconds, in which they are stored"
-        )
+        raise ResultError("has times beyond the years 1678 to 2261 or finer than nanoseconds, the unit of times")
     return fine
 
 
