@@ -71,9 +71,8 @@ def recorded(study: Study, costs: Costs | None) -> str:
 def _jsonable(value: Any) -> Any:
     if isinstance(value, Named):
         return [value.name, value.identity]
-    if isinstance(value, Mapping):
-        return dict(value)
-    return value.item() if hasattr(value, "item") else str(value)  # numbers of NumPy, and dates
+    plain = dict if isinstance(value, Mapping) else str  # dates and others as texts
+    return value.item() if hasattr(value, "item") else plain(value)  # numbers of NumPy
 
 
 def recorded_study(attributes: Mapping[str, Any], where: str, *, whole: bool = False) -> Study:
