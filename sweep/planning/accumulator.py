@@ -79,7 +79,7 @@ class Accumulator:
         self._seconds = np.full(self._rows.end, np.nan) if seconds is None else seconds
         self._rounds: dict[int, _Round] = {}
         self._share = plan.share()
-        self._whole = self._only_block() if self._share is None else None
+        self._whole = plan.only_block() if self._share is None and self._samples is None else None
         values = values if values is not None and self._rows else self.total[:0]
         self.survey = replace(self._survey(values), failed=int(np.count_nonzero(self.status == int(Status.FAILED))))
 
@@ -106,14 +106,6 @@ class Accumulator:
         if grid.study.draws_together:
             pending = replace(pending, cost=_cost_together(groups))
         return Survey(total, stored, pending)
-
-    def _only_block(self) -> Block | None:
-        """Return the one block that every point consists of, None if points have several blocks or different ones."""
-        study = self.plan.grid.study
-        is_varied = study.draws_together or study.sampling.precision is not None or any(study.counts.values())
-        alike = self.plan.costs_nothing_special and not is_varied
-        blocks = self.plan.blocks(1.0) if alike and self._samples is None else ()
-        return blocks[0] if len(blocks) == 1 else None
 
     def _survey_of_whole_points(self, block: Block, ledger: Rows) -> Survey:
         """Add what the ledger holds of points that have one block each, many at a time: a million take seconds."""

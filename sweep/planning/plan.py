@@ -144,6 +144,13 @@ class Plan:
             return -(-wanted // sims) + _doublings(sims)
         return 1 + max(0, math.ceil(math.log2(wanted / min(FIRST_SIMS, sims))))
 
+    def only_block(self) -> Block | None:
+        """Return the one block that every point consists of, None if points have several blocks or different ones."""
+        study = self.grid.study
+        is_varied = study.draws_together or study.sampling.precision is not None or any(study.counts.values())
+        blocks = self.blocks(1.0) if self.costs_nothing_special and not is_varied else ()
+        return blocks[0] if len(blocks) == 1 else None
+
     def parts_of(self, point: GridPoint) -> range:
         """Return the parts of a point, of its first ones where a precision may call for more."""
         study = self.grid.study
@@ -348,13 +355,10 @@ def _step(parts: int) -> int:
 
 
 def _dealt_alike(plan: Plan, parts: int) -> tuple[NDArray[np.intp], NDArray[np.intp]] | None:
-    """Return the indices of all points, and for each the number that `deal` gives to it, where each is a unit and all
-    cost the same: a million take a second.  None elsewhere.
+    """Return the indices of all points, and for each the number that `deal` gives to it, where each consists of one
+    block and all cost the same: a million take a second.  None elsewhere.
     """
-    study, sampling = plan.grid.study, plan.grid.study.sampling
-    if not plan.costs_nothing_special or study.draws_together or any(study.counts.values()):
-        return None
-    if sampling.precision is None and len(plan.blocks(1.0)) > 1:
+    if plan.only_block() is None:
         return None
     indices = plan.grid.indices()
     rounds, places = np.divmod(np.arange(len(indices)), parts)

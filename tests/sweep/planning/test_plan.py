@@ -142,7 +142,7 @@ def test_a_survey_of_many_points_is_that_of_one_after_the_other(name, only_faile
     left = np.random.default_rng(1).normal(size=(len(done), dtype.itemsize // 8)).view(dtype).reshape(-1)
     arguments = (plan, rows, left, failed, frozenset(failed) if only_failed else None)
     together = Accumulator(*arguments)
-    monkeypatch.setattr(Accumulator, "_only_block", lambda self: None)
+    monkeypatch.setattr(type(plan), "only_block", lambda self: None)
     alone = Accumulator(*arguments)
     assert together.survey == alone.survey
     for array in ("status", "realisations", "total"):
