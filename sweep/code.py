@@ -416,8 +416,8 @@ class Reach:
         name, names = home_of(name, names, value)
         if not self._is_users(names.get("__name__")):  # what a library has besides code, such as a table, is its own
             return self._code(value) or ""
-        module = names.get("__name__", MAIN[0])  # IPython takes it from what %run has executed
-        return self._refer(without_package(f"{module}.{name}"), value, names)
+        # IPython takes the name of a module from what %run has executed.
+        return self._refer(without_package(f"{names.get('__name__', MAIN[0])}.{name}"), value, names)
 
     def _function(self, function: FunctionType) -> None:
         """Add a function, and what it changes while it runs."""

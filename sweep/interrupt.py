@@ -151,11 +151,9 @@ def watched() -> Iterator[Interruptions]:
     try:
         with interruptions.watched() if is_main else nullcontext():
             yield interruptions
-    except RunInterruptedError:
-        raise
     except BaseException as stop:
         first = stop.__cause__ if isinstance(stop, RuntimeError) else stop  # Python makes one of one in a class body
         is_late = interruptions.received is not None and isinstance(stop, Exception)
-        if not is_late and not isinstance(first, KeyboardInterrupt):
+        if isinstance(stop, RunInterruptedError) or not (is_late or isinstance(first, KeyboardInterrupt)):
             raise
         raise RunInterruptedError(interruptions.received or signal.SIGINT) from stop

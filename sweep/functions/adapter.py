@@ -140,8 +140,8 @@ def _read_signature(function: Callable[..., Any], problems: list[str]) -> "Funct
     call = whole if inspect.isroutine(whole) else getattr(whole, "__call__", whole)  # noqa: B004
     wrap = "wrap it in a function that takes its parameters by name and returns its results"
     later = inspect.iscoroutinefunction, inspect.isasyncgenfunction, inspect.isgeneratorfunction
-    dispatches = hasattr(whole, "dispatch")  # by the type of its first argument, which is to be positional
-    if dispatches or isinstance(whole, type | np.ufunc) or any(returns_later(call) for returns_later in later):
+    # A function with `dispatch` looks at the type of its first argument, which is to be positional.
+    if isinstance(whole, type | np.ufunc) or hasattr(whole, "dispatch") or any(is_one(call) for is_one in later):
         problems.append(f"is a class, a NumPy ufunc, a singledispatch, async or a generator; {wrap}")
     arguments: Mapping[str, inspect.Parameter] = {}
     try:

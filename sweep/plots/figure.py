@@ -772,8 +772,7 @@ def _pairs_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]
 
 
 def _curves_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
-    axis = one_axis(dataset, variables, over)
-    return draw_panels(dataset, variables, partial(_draw_curves, over=axis))
+    return draw_panels(dataset, variables, partial(_draw_curves, over=one_axis(dataset, variables, over)))
 
 
 def _draw_curves(axes: Axes, dataset: xr.Dataset, variable: str, over: str) -> None:

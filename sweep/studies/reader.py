@@ -209,8 +209,7 @@ def parse_axis(text: str, is_text: bool = False) -> Any:
     first, *parts = text.split(":")
     if parts and not is_text and not isinstance(start := parse_value(first), str):
         if len(parts) != 2:
-            words = "a range is START:STOP:STEP, or START:STOP:log5 for five values; texts with a colon are in quotes"
-            raise SweepError(f"{shown(text)}: {words}")
+            raise SweepError(f"{shown(text)}: a range is START:STOP:STEP, or START:STOP:log5; texts are in quotes")
         ends, spacing = {"start": start, "stop": parse_value(parts[0])}, parts[1][:3]
         if spacing in ("log", "lin"):
             return {**ends, "num": parse_value(parts[1][3:]), **({"spacing": "log"} if spacing == "log" else {})}

@@ -182,7 +182,7 @@ COMMANDS = [
     ("run study.toml --set n_sim=-5", "sampling.n_sim (--set n_sim=-5): input should be greater than or equal to 1"),
     ("run study.toml --set weighting=equl", "weighting = 'equl': must be one of 'inverse-variance', 'equal'; did you"),
     ("run study.toml --axis v_max=14:16:", "axes.v_max (--axis v_max=14:16:): step = '': must be a finite number"),
-    ("run mine.py:f --axis x=1:5", "--axis 'x=1:5': '1:5': a range is START:STOP:STEP, or START:STOP:log5 for five"),
+    ("run mine.py:f --axis x=1:5", "--axis 'x=1:5': '1:5': a range is START:STOP:STEP, or START:STOP:log5; texts"),
     ("run study.toml --workers 0", "Invalid value for '--workers': 0 is not in the range 1<=x<=4096"),
     ("run study.toml --pool serial --workers 2", "workers = 2: pool serial has none"),
     *((f"submit study.toml --slurm 3 --sbatch={a}", f"--sbatch {a!r}: must be") for a in ("time=1:00", "--wrap=true")),
