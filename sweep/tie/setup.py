@@ -791,9 +791,10 @@ def set_up_row_groups(
     for group, some in zip(groups, notes, strict=True):
         for note in some:
             noted.setdefault(note, group.first)
-    epoch = options.epoch
-    if epoch is None:
-        epoch = default_epoch(np.concatenate([np.repeat(*one) for one in epochs]))
+    known = np.concatenate([np.repeat(*one) for one in epochs])
+    if len(there := releases_at(known)) > 1:
+        raise SweepError(f"rows have the epochs of {' and '.join(there)}, each in its own frame", str(path))
+    epoch = default_epoch(known) if options.epoch is None else options.epoch
     said = [f"{path.name}, from row {first + 1} on: {note}" for note, first in noted.items()]
     if (more := len(said) - MOST_NOTES) > 0:
         said[MOST_NOTES:] = [f"{path.name}: {more} more such notes"]

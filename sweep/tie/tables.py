@@ -264,7 +264,7 @@ def astrometric_table(table: Any, where: str, digest: str, options: TableOptions
     except ValueError as error:
         read.problems.append(str(error))
     names = _names(read)
-    releases = _releases(read, names, epoch[np.all(present, axis=0)])
+    releases = _releases(read, names, epoch[np.all(present[3:], axis=0)])
     read.finish()
     astrometry = core.with_variance(astrometry, np.outer([1.0, 1.0, 0.0, 0.0, 0.0], astrometry.shared**2))
     return AstrometricTable(where, digest, astrometry, names, read.notes, _used(read), releases, options)
@@ -272,7 +272,7 @@ def astrometric_table(table: Any, where: str, digest: str, options: TableOptions
 
 def _releases(read: Columns, names: Mapping[str, Texts], epochs: Array) -> dict[str, str]:
     """Return the release of Gaia by column of its designations, and that of source_id, which is theirs or that of the
-    ``epochs`` of five-parameter rows; rows of two are a problem.
+    ``epochs`` of rows with motions; rows of two are a problem.
     """
     releases = {}
     for name, column in names.items():
@@ -281,7 +281,7 @@ def _releases(read: Columns, names: Mapping[str, Texts], epochs: Array) -> dict[
             releases[name] = min(there)
         if len(there) > 1:
             read.problems.append(f"column {name!r} has rows of {' and '.join(sorted(there))}, each in its own frame")
-    if len(there := set(releases_at(epochs)) - {"dr5"}) > 1 and {*read.names} >= archives.GAIA_MARKS:
+    if len(there := set(releases_at(epochs)) - {"dr5"}) > 1 and {*map(str.casefold, read.names)} >= archives.GAIA_MARKS:
         read.problems.append(f"rows have the epochs of {' and '.join(sorted(there))}, each in its own frame")
     near = releases_at(epochs)
     release = next(iter(releases.values()), near[0] if len(near) == 1 else "")

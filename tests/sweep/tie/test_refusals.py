@@ -52,6 +52,7 @@ REFUSED = [
     ("a column calibrator needs calibrator_error", {}, CALIBRATED, {}),
     ("a calibrator without an error that is 0 .* row 1", {}, CALIBRATED | {"calibrator_error": at(1, np.nan)}, {}),
     ("those of dr3, and the epochs are of dr4", DR3 | DR4, {}, SHIFTED),
+    ("epochs of dr3 and dr4, each", {"Ref_epoch": at(1, 2017.5, 2016), "ref_epoch": None, "ra_error": None}, {}, {}),
     ("no column 'ecl_lat'", DR3 | {"ecl_lat": None}, {}, SHIFTED),
     ("spins of dr3, and the satellite's epochs are those of dr4", DR4, {}, {"known_spin": "edr3-spin"}),
     ("omega_x, omega_y, omega_z with units", {}, {}, {"known_spin": SPIN | {"omega_x": Column([1.0], unit="mas")}}),

@@ -9,7 +9,7 @@ import pytest
 from click.testing import CliRunner
 from pyarrow import parquet
 
-from linksweep import tie
+from linksweep import SweepError, tie
 from tests.core.tie.made import main
 from tests.sweep.outside import Outside
 from tests.tiers import few, slow
@@ -115,6 +115,9 @@ def test_wrong_rows_are_named_with_their_row_group(tmp_path, by_groups):
     found = CliRunner().invoke(main, ["tie", str(path), "zero-motion"])
     words = "the 700 rows from row 1401 on: a dec outside -90..90 deg in row 101"
     assert (found.exit_code, words in found.output) == (2, True), found.output
+    epochs = np.repeat([2016.0, 2017.5], [1400, 1600])  # one in each row group
+    with pytest.raises(SweepError, match="rows have the epochs of dr3 and dr4"):
+        tie(quasars(tmp_path / "two.parquet", ref_epoch=epochs), "zero-motion")
 
 
 @pytest.mark.slow
