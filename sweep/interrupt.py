@@ -1,6 +1,7 @@
 """Lets Ctrl-C and the signals of batch systems end a run cleanly: never in the middle of a write to the ledger."""
 
 import gc
+import os
 import signal
 import sys
 import threading
@@ -78,7 +79,7 @@ class Interruptions:
     @contextmanager
     def watched(self) -> Iterator[None]:
         """Handle signals in this block."""
-        with answered(self._answer) as self._before:
+        with answered(self._answer) as self.before:
             self._unraisable_before, sys.unraisablehook = sys.unraisablehook, self._unraisable
             self._watching = True
             try:
@@ -91,7 +92,7 @@ class Interruptions:
 
     def _answer(self, number: int, frame: FrameType | None) -> None:
         if self.received is not None and not self._lost:
-            signal.signal(number, self._before.pop(number))
+            signal.signal(number, self.before.pop(number))
             signal.raise_signal(number)
             return
         if self.received is None:
@@ -116,6 +117,29 @@ class Interruptions:
         """Report nothing when Python drops an interrupt."""
         if self.received is None or not issubclass(what.exc_type, KeyboardInterrupt):
             self._unraisable_before(what)
+
+
+# A fork that a block has made, as a pool of multiprocessing, answers signals as before the run.  Until it does they are
+# blocked, since Python drops one that comes while it forks: such a pool would wait for ever for what it has ended.
+_forking = threading.local()
+
+
+def _before_fork() -> None:
+    _forking.mask = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+
+
+def _after_fork() -> None:
+    signal.pthread_sigmask(signal.SIG_SETMASK, _forking.mask)
+
+
+def _in_fork() -> None:
+    for number in SIGNALS:
+        if isinstance(mine := getattr(signal.getsignal(number), "__self__", None), Interruptions):
+            signal.signal(number, mine.before[number])
+    _after_fork()
+
+
+os.register_at_fork(before=_before_fork, after_in_parent=_after_fork, after_in_child=_in_fork)
 
 
 def _is_handling(thread: int) -> bool:

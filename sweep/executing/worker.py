@@ -91,8 +91,8 @@ class _Routes:
         self._lock = threading.Lock()
         self._threads: dict[int, Captured] = {}
 
-    def begin(self, captured: Captured) -> None:
-        """Capture the calling thread."""
+    def begin(self, captured: Captured) -> Captured | None:
+        """Capture the calling thread; return in what it was captured before, as where a block runs a study."""
         with self._lock:
             if not self._threads:
                 self._before, self._warn_before = _Snapshot(), warnings.showwarning
@@ -103,7 +103,9 @@ class _Routes:
                 _set_filters([("always" if f[0] in seldom else f[0], *f[1:]) for f in warnings.filters])
                 warnings.simplefilter("always", append=True)
                 self._between_blocks = _Snapshot()
+            before = self._threads.get(threading.get_ident())
             self._threads[threading.get_ident()] = captured
+            return before
 
     def restore(self) -> None:
         """Undo what a captured thread has changed about the process."""
@@ -111,10 +113,12 @@ class _Routes:
             if self._threads:
                 self._between_blocks.put_back()
 
-    def end(self) -> None:
-        """Stop capturing the calling thread."""
+    def end(self, before: Captured | None) -> None:
+        """Stop capturing the calling thread, or capture it as ``before``."""
         with self._lock:
             del self._threads[threading.get_ident()]
+            if before is not None:
+                self._threads[threading.get_ident()] = before
             if not self._threads:
                 self._before.put_back()
                 warnings.showwarning = self._warn_before
@@ -146,11 +150,11 @@ _routes = _Routes()
 def captured() -> Iterator[Captured]:
     """Capture what this thread prints in this block, and its warnings."""
     result = Captured()
-    _routes.begin(result)
+    before = _routes.begin(result)
     try:
         yield result
     finally:
-        _routes.end()
+        _routes.end(before)
 
 
 @contextmanager

@@ -126,6 +126,21 @@ def test_what_a_function_does_to_its_process_does_not_reach_the_run(tmp_path, sw
     assert xr.open_zarr(tmp_path / "s.zarr")["f"].values.tolist() == [0.0, 2.0, 4.0, 6.0]
 
 
+@pytest.mark.parametrize("pool", ["serial", slow("threads")])
+def test_a_block_may_run_a_study_and_end_a_process_that_it_has_forked(tmp_path, pool):
+    def f(x: int):
+        if not (child := os.fork()):
+            os.kill(os.getpid(), signal.SIGTERM)
+        inner = run(g, tmp_path / f"{x}.zarr", axes={"y": [1, 2]}, pool="serial")
+        return {"ended": os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]), "sum": x * int(inner.g.sum())}
+
+    def g(y: int):
+        return y
+
+    ds = run(f, tmp_path / "s.zarr", axes={"x": [1, 2]}, pool=pool)
+    assert (ds["ended"].values.tolist(), ds["sum"].values.tolist()) == ([-signal.SIGTERM] * 2, [3, 6])
+
+
 def test_a_function_that_cannot_be_pickled_is_computed_in_a_child(tmp_path):
     with io.StringIO("the content") as file:
 
