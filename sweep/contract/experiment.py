@@ -14,7 +14,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from decimal import Context, Decimal
 from fractions import Fraction
 from functools import cached_property, lru_cache
@@ -567,6 +567,15 @@ def named(what: str, values: object, known: Sequence[str], noun: str) -> list[st
     return problems + [f"{what}: {shown(n)} is no {noun}{suggest(n, known)}" for n in names if n not in known]
 
 
+def setting_problem(one: Parameter | Output) -> str | None:
+    """Return which text, truth value or unit of a declaration is none, None if all are."""
+    for each in fields(one):
+        for kind, words in ((str, WORDS["str"]), (bool, "True or False")):
+            if each.type is kind and not isinstance(value := getattr(one, each.name), kind):
+                return f"{each.name} = {shown(value)}: must be {words}"
+    return unit_problem(one.unit)
+
+
 def parameter_problems(parameter: Parameter) -> Iterator[str]:
     """Yield what is wrong with a parameter by itself."""
     bounds = (parameter.minimum, parameter.above, parameter.maximum)
@@ -578,8 +587,10 @@ def parameter_problems(parameter: Parameter) -> Iterator[str]:
         yield f"choices = {shown(parameter.choices)}: must be a tuple of numbers, texts and truth values"
     elif any(bound is not None and not isinstance(bound, int | float) for bound in bounds):
         yield f"minimum, above and maximum must be numbers, not {shown(bounds)}"
-    elif text := unit_problem(parameter.unit):
+    elif text := setting_problem(parameter):
         yield text
+    elif not isinstance(parameter.symbols, Mapping):
+        yield f"symbols = {shown(parameter.symbols)}: must be a mapping of values to symbols"
     elif not isinstance(parameter.when, Mapping) or not all(
         isinstance(values, list | tuple) and values and name != parameter.name
         for name, values in parameter.when.items()
@@ -1008,7 +1019,7 @@ def _problems(experiment: Experiment) -> list[str]:
         problems += [f"parameter {parameter.name!r}: {text}" for text in texts]
     for output in (*outputs, *samples):
         alike = [other.name for other in outputs if (other.dims, other.unit) == (output.dims, output.unit)]
-        texts = [*_of_no_function(output), *filter(None, [unit_problem(output.unit)])]
+        texts = [*_of_no_function(output), *filter(None, [setting_problem(output)])]
         texts += named("dims", output.dims, list(labels), "dimension with labels in coordinates")
         texts += named("errors", output.errors, alike, "output with its dimensions and unit")
         problems += [f"output {output.name!r}: {text}" for text in texts]

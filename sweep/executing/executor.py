@@ -60,6 +60,9 @@ END_S = 1.0
 # Libraries with threads or devices of their own, for which a fork of a process that used them may wait for ever.
 NOT_TO_BE_FORKED = ("jax", "torch", "tensorflow", "cupy", "polars", "numba.np.ufunc.omppool")
 
+# Files that are open in a run, and for each of its children; many systems allow 1024 where nobody asks for more.
+FILES, FILES_EACH = 512, 6
+
 # Freed memory that a child's allocator keeps: arrays of some MB are made anew for each catalogue, and giving them back
 # to the system each time costs a fifth of the run.
 KEEP_BYTES = 2**28
@@ -90,6 +93,10 @@ class Children:
         digest: str | None = None,
         expected: Identity | None = None,
     ) -> None:
+        soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+        if 0 <= soft < (most := FILES + FILES_EACH * number):  # of 256 cores, say
+            with suppress(ValueError, OSError):  # then it is said where one does not start
+                resource.setrlimit(resource.RLIMIT_NOFILE, (min(most, hard) if hard >= 0 else most, hard))
         self._limits, code = limits, (reference, digest or source_digest(reference))
         self._new = partial(_Child, forked and _may_be_forked(), limits.memory, code, expected)
         self._children = [self._new() for _ in range(number)]

@@ -301,7 +301,7 @@ def _problems_of_outputs(outputs: Sequence[Output], made: "FunctionExperiment") 
     coordinates: dict[str, results.Coordinate] = {}
     for output in outputs:
         dims, coords = output.dims, output.coords or {}
-        texts = [rules.unit_problem(output.unit), *map(statistic_problem, output.statistics)]
+        texts = [rules.setting_problem(output), *map(statistic_problem, output.statistics)]
         if output.statistics and not made.rng:
             texts.append("statistics are made of realisations, and the function takes no rng")
         if output.ragged and made.rng:

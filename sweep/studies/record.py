@@ -12,7 +12,17 @@ from threading import Lock
 from typing import Any
 
 from linksweep.sweep.code import Code, SourceFunction, version_of
-from linksweep.sweep.contract import Experiment, Named, Output, Parameter, Point, SweepError, Unknown, shown
+from linksweep.sweep.contract import (
+    Experiment,
+    Named,
+    Output,
+    Parameter,
+    Point,
+    SweepError,
+    Unknown,
+    setting_problem,
+    shown,
+)
 from linksweep.sweep.formatting import command_line, host, now
 from linksweep.sweep.functions.adapter import experiment_of_record, layout_of_record
 from linksweep.sweep.studies.reader import study_of_attributes
@@ -138,7 +148,10 @@ def _made(kind: Any, stored: Mapping[str, Any]) -> Any:
         values["defined"] = tuple(Named(name, identity, Unknown) for name, identity in values["defined"])
     if values.get("kind", "any") in ("any", "object", "float") and isinstance(values.get("default"), tuple):
         values["default"] = Named(values["default"][0], values["default"][1], Unknown)
-    return kind(**({"default": None} if kind is Parameter else {}) | values)
+    made = kind(**({"default": None} if kind is Parameter else {}) | values)
+    if problem := setting_problem(made):
+        raise ValueError(problem)
+    return made
 
 
 def _tuples(value: Any) -> Any:

@@ -171,6 +171,11 @@ def test_where_no_process_may_be_forked_a_new_one_computes_the_same(tmp_path, mo
         run(f, store, axes={"x": [3.0]})
 
 
+def test_many_children_have_the_files_that_the_system_allows(tmp_path):
+    run_it = f"{sys.executable} -m linksweep run {written(tmp_path, 'pass', -1)} --axis x=1,2 --workers 12 -o s.zarr"
+    subprocess.run(["sh", "-c", f"ulimit -Sn 40; exec {run_it}"], cwd=tmp_path, check=True)
+
+
 @pytest.mark.parametrize("number", [slow(signal.SIGINT), signal.SIGKILL])
 def test_a_child_does_not_outlive_its_run(tmp_path, start_sweep, number):
     reference = written(tmp_path, f"open('begun', 'w').close(); {LIMITED['no other code'][0]}", 2)

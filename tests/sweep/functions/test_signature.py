@@ -30,6 +30,7 @@ WRONG = [  # what is declared of which function, and what is said of it
     ({"outputs": [replace(RAGGED, dims=("s", "t"))]}, lambda x: [x], "its dimensions, such as ragged='t'"),
     ({"outputs": [replace(RAGGED, dims="s", coords={"s": [1, 2]})]}, lambda x: [x], "return its coordinate as another"),
     ({"outputs": [RAGGED]}, lambda x, rng: [x], "ragged: statistics of realisations need one length"),
+    ({"outputs": [Output("a", meaning=3)]}, lambda x: x, "output 'a': meaning = 3: must be a string"),
 ]
 Mass = TypeAliasType("Mass", NewType("Mass", float))
 REAL, CHOICE = TypeVar("REAL", bound=float), Literal[2.0, "a", None]
