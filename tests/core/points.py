@@ -15,7 +15,6 @@ from linksweep.core.frames import DEGREE, GALACTIC_AXES, MAS, MICROARCSEC, LinkE
 from linksweep.core.missions import CALIBRATED, MISSIONS, FunctionCurve, Mission, calibrate, mission_from_table
 from linksweep.core.setup import ROWS, TILE, Prefixes, prepare, scenario
 from linksweep.core.simulate import can_stack, simulate, simulate_stack
-from linksweep.core.unknowns import Objects, link_unknowns
 from linksweep.sweep.contract import Named
 from linksweep.sweep.tables.columns import table_file
 
@@ -81,11 +80,6 @@ def set_up(catalogue, physics):
 
 def design_of(setup):
     return fixed_designs([setup], Prefixes())[0][0]
-
-
-def core_design(ra, dec, pmra, pmdec, corrections=True, glide=False):
-    _, derivatives = link_unknowns(glide, corrections).derivatives(Objects(ra, dec, pmra, pmdec))
-    return np.moveaxis(derivatives, 0, -1)
 
 
 def random_covariances(n_obj, seed=2):

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import linksweep
-from tests.core.points import CALIBRATED, calibrate
 from tests.sweep.test_coverage import assert_covers
 from tests.tiers import slow
 
@@ -59,23 +58,3 @@ def test_every_error_of_a_link(case, n_cat, n_sim):
             assert_covers((dataset[name] - predicted) / dataset[f"{name}_mc_error"])
         if n_cat >= 5:
             assert_covers((dataset[name] - predicted.mean("error_scale")) / dataset[f"{name}_mc_error"], dof=n_cat - 1)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("model", ["gaia", "amex"])
-def test_the_errors_of_the_calibration(model):
-    """Published numbers made from known constants with the errors that weigh them; chi2 above one only widens these."""
-    copies, rng = 60, np.random.default_rng(7)
-    numbers, skies = calibrate.published_numbers(model), calibrate.all_skies(model, n_cat=12)
-    sigma, _ = calibrate.published_model(numbers, skies, CALIBRATED[model].curve)
-    truth = np.log(calibrate.constants_of(model))
-    relative_error = calibrate.fit(model, numbers, skies).relative_error
-    pulls = []
-    for _ in range(copies):
-        made = sigma * np.exp(relative_error * rng.standard_normal(len(sigma)))
-        # half a unit in the last digit of a number that scatters goes with it, so that its weight is that of the truth
-        printed = numbers.assign(sigma=made, rounding=numbers["rounding"] * made / numbers["sigma"])
-        found = calibrate.fit(model, printed, skies)
-        widened = np.sqrt(max(1.0, found.chi2 / found.dof))
-        pulls.append((np.log(found.constants) - truth) / np.sqrt(np.diag(found.log_covariance)) * widened)
-    assert_covers(pulls)

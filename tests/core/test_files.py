@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from astropy.table import MaskedColumn, Table
+from astropy.table import Table
 
 from tests.core.points import DEGREE, MAS, drawn, link, point, table_file
 
@@ -28,7 +28,6 @@ FACTORS = {"": 1.0, "reference": 2.0, "satellite": 3.0}
 WRONG = [
     (GAIA | {"pmra": np.where(EVEN, np.nan, PMRA)}, {}, "no pmra in row 2, 4"),
     (GAIA | {"pmra": np.where(EVEN, np.inf, PMRA)}, {}, "an infinite pmra in row 2, 4"),
-    (GAIA | {"pmra": MaskedColumn(PMRA, mask=EVEN)}, {}, "no pmra in row 2, 4"),
     (ANONYMOUS, {}, "column 'pmra' may or may not include cos(dec): say pmra_cos_dec"),
     (GAIA, {"pmdec": "pm_dec"}, "no column 'pm_dec' for pmdec"),
     (GAIA, {"parallax": "plx"}, "columns: parallax is no quantity"),

@@ -16,7 +16,6 @@ from linksweep.sweep.contract import DefinitionError, SweepError
 from tests.core import points
 from tests.core.points import CALIBRATED, Function, calibrate
 
-EITHER = "needs either sigma_pos or position_ratio (sigma_pos = position_ratio x sigma_pm)"
 BOUNDS = ": must be a number from 1e-09 to 1e+07"
 V = np.linspace(4.0, 21.0, 69)
 TABLE = {"nominal_length": 4.0, "sigma_pm": [[9.0, 0.1], [13.0, 0.4], [18.0, 3.2]], "position_ratio": 0.5}
@@ -44,7 +43,7 @@ PUBLISHED = [
 ]
 WRONG = [
     ({"sigma_pn": 1}, "sigma_pn", "unknown key; did you mean 'sigma_pm'?"),
-    ({"position_ratio": None}, "", EITHER),
+    ({"position_ratio": None}, "", "needs either sigma_pos or position_ratio (sigma_pos = position_ratio x sigma_pm)"),
     ({"range": [12.0, 11.0]}, "range", "[12.0, 11.0]: must be [brightest, faintest], two magnitudes from -5 to 30"),
     ({"floor_pm": 0.0}, "floor_pm", f"0.0{BOUNDS}"),
     ({"faint_limit": 19.0}, "faint_limit", "19 mag: the table ends at 18 mag"),

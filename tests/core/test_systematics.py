@@ -11,7 +11,6 @@ from tests.core import points
 from tests.core.points import GALACTIC_AXES, MAS, ZonalErrors, parse_pattern, pattern_field, point, scenario, set_up
 from tests.core.reference import design_matrix, solve
 
-NORMAL = {"satellite_errors": "normal"}
 GLIDE = 4.0 * points.MICROARCSEC * GALACTIC_AXES[0]
 NO_TRUTH = {"epsilon": (0.0, 0.0, 0.0), "omega": (0.0, 0.0, 0.0), "satellite_errors": "none", "aberration": True}
 FLAT = {"satellite_errors": "normal", "reference_errors": "normal"}
@@ -96,7 +95,7 @@ def test_the_leak_of_known_fields_is_predicted():
     known = {"omega_slope": (0.3, -0.1, 0.2), "magnitude_equation_pmra": 0.4, "magnitude_equation_pmdec": -0.3}
     known |= {"v_zero": 12.0, "motion_field": "t_2_0=0.5,s_2_1_re=-0.7"}
     catalogue = sky(40)
-    setup = set_up(catalogue, scenario(point(**NORMAL, **known)))
+    setup = set_up(catalogue, scenario(point(satellite_errors="normal", **known)))
     p, q, r = points.triad(catalogue.ra, catalogue.dec)
     v_mag = catalogue.v_mag - 12.0
     turning = np.cross(np.outer(v_mag, known["omega_slope"]), r.T).T
