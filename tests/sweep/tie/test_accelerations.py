@@ -9,7 +9,7 @@ import pytest
 from astropy.table import MaskedColumn, Table
 
 import linksweep
-from linksweep.core.frames import DEGREE, MAS
+from linksweep.core.frames import DEGREE, MAS, triad
 from linksweep.core.tie.astrometry import by_errors, propagated
 from linksweep.sweep.tables.columns import ALL_PAIRS
 from linksweep.sweep.tie.tables import TableOptions, read_table
@@ -87,11 +87,9 @@ def test_rows_of_each_model_are_read(tmp_path, form, ending):
 def path(star, accelerations, years):
     """Return five parameters after some years: uniform motion, and a polynomial in the tangent plane at the start."""
     moved = propagated(star.values, None, star.epoch, star.epoch + years)
-    (ra, dec), (x, y) = star.values[:2], moved[:2]
-    east = np.array([-np.sin(ra), np.cos(ra), 0.0 * ra])
-    north = np.array([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)])
+    east, north, _ = triad(*star.values[:2])
     shift = years**2 / 2.0 * accelerations[:2] + years**3 / 6.0 * accelerations[2:]
-    place = np.array([np.cos(y) * np.cos(x), np.cos(y) * np.sin(x), np.sin(y)]) + shift[0] * east + shift[1] * north
+    place = triad(*moved[:2]).r + shift[0] * east + shift[1] * north
     faster = years * accelerations[:2] + years**2 / 2.0 * accelerations[2:]
     position = np.arctan2(place[1], place[0]), np.arctan2(place[2], np.hypot(*place[:2]))
     return np.array([*position, moved[2], *(moved[3:] + faster)])

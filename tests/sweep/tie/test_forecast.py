@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
-import linksweep
 from linksweep import SweepError, forecast, tie
 from linksweep.core.tie.astrometry import with_variance
 from tests.core.tie.made import MAS, POSITION, gaia, gaia_table, joined, noise, only, stars
+from tests.sweep.tie.test_study import written
 from tests.tiers import examples, slow
 
 EPOCH = {"dr1": 2015.0, "dr2": 2015.5, "dr3": 2016.0, "dr4": 2017.5, "dr5": 2020.0}
@@ -160,9 +160,7 @@ def test_errors_are_not_scaled_twice_and_a_table_at_another_epoch_needs_the_name
 
 
 def in_a_study(folder, satellite, reference, **fixed):
-    study = {"experiment": "linksweep.sweep.tie.experiment:tie", "sampling": {"n_sim": 2}}
-    fixed |= {"satellite": str(satellite), "reference": str(reference), "accept_misfit": True}
-    found = linksweep.run(study | {"fixed": fixed}, folder / "s.zarr", pool="serial", fresh=True)
+    found = written(folder, satellite=str(satellite), reference=str(reference), **fixed)
     return found.sigma_predicted.values.ravel()[:6]
 
 

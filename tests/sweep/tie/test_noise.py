@@ -22,14 +22,13 @@ from tests.core.tie.made import MAS, POSITION, gaia, gaia_table, noise, only, st
 from tests.sweep.tie.test_against_least_squares import drawn_tables, linked, pieces_of, turned
 from tests.tiers import slow
 
-WHICH = {"position": [0, 1], "parallax": [2], "motion": [3, 4]}
 CASES = [(30, 3, "position", 1.0), (30, 3, "position", 0.3), (50, 1, "five", 1.0), (50, 1, "five", 0.4)]
 
 
 def noises_of(piece, kinds):
     """The covariances of the observations of a source by a noise of variance 1 in each quantity, by its label."""
     parts = {}
-    for quantity, which in WHICH.items():
+    for quantity, which in {"position": [0, 1], "parallax": [2], "motion": [3, 4]}.items():
         parts[f"satellite:{quantity}"] = piece.m[:, which] @ piece.m[:, which].T
         for kind in np.unique(kinds):
             parts[f"{kind}:{quantity}"] = np.diag([float(kinds[k] == kind and p in which) for k, p in piece.observed])

@@ -140,7 +140,6 @@ def test_a_spin_for_each_bin_is_stored(tmp_path):
         np.testing.assert_allclose(found["spin_by_bin"][number], spins[faint], atol=0.12)
         np.testing.assert_allclose(found["sigma_by_bin"][number], found["sigma_by_bin_predicted"][number], rtol=0.2)
     assert "10 bins" in check(at | {"bins": "phot_g_mean_mag=1,2,3,4,5,6,7,8,9,10,11"})
-    assert "COLUMN=EDGE" in check(at | {"bins": "17"})
 
 
 def test_new_positions_give_the_published_forecast():

@@ -9,7 +9,7 @@ from astropy.table import MaskedColumn, Table
 from astropy.time import Time
 
 from linksweep import SweepError, answer, tie
-from linksweep.core.frames import ARCSEC, DEGREE, MAS
+from linksweep.core.frames import ARCSEC, DEGREE, MAS, triad
 from linksweep.core.tie.astrometry import PAIRS, kinds, propagated
 from linksweep.sweep.tie.setup import match
 from linksweep.sweep.tie.tables import TableOptions, read_table
@@ -107,16 +107,16 @@ def test_the_dataset_states_its_epoch_units_spins_by_bins_and_large_shares(tmp_p
     assert len(link.attrs["satellite_sha256"]) == 64
     plain = tie(satellite, reference, errors="formal", epoch=2020.0)
     x, spread = plain.estimate.values[:3], plain.covariance.values[:3, :3]
-    _, _, length, _, error, unit, *_ = answer(plain).sentences[0].split()  # Turned by 2 ± 1 mas
+    _, _, length, _, error, unit, *more = answer(plain).sentences[0].split()  # Turned by 2 ± 1 mas (1, 1, 1), ...
     expected = np.linalg.norm(x), np.sqrt(x @ spread @ x) / np.linalg.norm(x)
     assert ((float(length), float(error)), unit) == (pytest.approx(expected, rel=0.06), "mas")
+    assert [float(text.strip("(),")) for text in more[:3]] == pytest.approx(x.tolist(), abs=0.06 * expected[1])
+    assert [answer(one).sentences[0].split()[-2] for one in (link, plain)] == ["jackknife", "formal"]
     binned = tie(satellite, reference, bins=("phot_g_mean_mag", [6.0, 8.0]))
     np.testing.assert_allclose(binned.spin_by_bin, [omega] * 3, atol=1e-5)
     assert not any("there is no spin" in note for note in binned.attrs["notes"])
-    (said,) = [
-        n for n in tie(satellite, reference, bins=("phot_g_mean_mag", [-5.0, 8.0, 40.0])).notes if "no spin" in n
-    ]
-    assert "in [-inf,-5), [40,inf)" in said
+    notes = tie(satellite, reference, bins=("phot_g_mean_mag", [-5.0, 8.0, 40.0])).notes
+    assert ["in [-inf,-5), [40,inf)" in note for note in notes if "no spin" in note] == [True]
     made.errors[:, 7] /= 300.0
     heavy = tie(gaia(tmp_path / "s.ecsv", made), gaia(tmp_path / "r.ecsv", made))
     assert any(str(10**17 + 7) in note and "% of the weight" in note for note in heavy.attrs["notes"])
@@ -129,8 +129,7 @@ def test_the_galactic_aberration_carries_the_icrf(tmp_path):
     exact = {"errors": np.full((5, 40), 0.01 * MAS), "correlations": np.zeros((10, 40))}
     made = only(stars(40, 2, pm=0.0, epoch=2020.0), np.arange(5) != 2, **exact)
     (ra, dec), values = made.values[:2], made.values.copy()
-    p = np.array([-np.sin(ra), np.cos(ra), np.zeros(40)])
-    q = np.array([-np.sin(dec) * np.cos(ra), -np.sin(dec) * np.sin(ra), np.cos(dec)])
+    p, q, _ = triad(ra, dec)
     values[:2] += 5.0 * 5.8e-3 * MAS * np.array([to_centre @ p / np.cos(dec), to_centre @ q])
     gaia(tmp_path / "gaia.ecsv", replace(made, values=values))
     quasars = gaia_table(made)["source_id", "ra", "dec", "ra_error", "dec_error"]
