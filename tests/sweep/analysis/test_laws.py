@@ -21,7 +21,6 @@ WORDS = grid(N, words=(("model", "n"), np.full((2, 5), "a", dtype=object)))
 LARGE = PLAIN.assign(width=2**62 + PLAIN["width"].astype(int)).assign_attrs(function=1)
 OF_LARGE = [lambda: find(LARGE, "width > 9", "n"), lambda: linksweep.sensitivity(LARGE, "width")]
 NO_CONDITIONS = "", "width < ", "width = 1", "1 < width", "width < 1 no", "width < 1e999", "width < 1 < 2"
-UNDONE = grid(N, status=[[MISSING, FAILED, FAILED, DONE, DONE], [DONE] * 5])
 PART = "--range 2:7 --at kind=b --expect 0.5"
 COMMANDS = {
     "fit STORE --over x": lambda ds: fit_power_law(ds, "y", "x"),
@@ -166,7 +165,7 @@ def law_of(dataset, variable="width", over="n"):
         (law_of(grid(-N)), "width must be above 0; it is -10 at model=old, n=10"),
         (law_of(grid(N, x=N - 10.0)), "a power law needs n above 0; there is 0"),
         (law_of(grid([1.0, np.nan, 1.0, 1.0, 1.0])), "width is not a finite number at model=old, n=20"),
-        (law_of(UNDONE), "1 missing and 2 failed of"),
+        (law_of(grid(N, status=[[MISSING, FAILED, FAILED, DONE, DONE], [DONE] * 5])), "1 missing and 2 failed of"),
         (law_of(grid(N, status=np.full((2, 5), EXCLUDED))), "the study has no point there"),
         *((law_of(without_inverse(x)), "positive definite: width over n at model=new") for x in (1.0, np.nan, np.inf)),
         (lambda: fit_levelling(grid(1.0 / N), "width", "n", fall=5.0), "fall = 5: must be above 0 and below 1"),

@@ -179,10 +179,9 @@ def test_no_more_than_the_realisations_that_are_allowed_are_spent_on_new_points(
 
 @pytest.mark.slow
 def test_what_is_said_to_be_known_of_a_noisy_crossing_is_true_as_often_as_two_errors_are(sweep, tmp_path):
-    (tmp_path / "noise.py").write_text("def noisy(rng, x: float):\n    return {'y': x - 0.4321 + 0.1 * rng.normal()}\n")
     inside = []
     for seed in range(60):
-        command = ["refine", "noise.py:noisy", "--axis", "x=0:1:0.1", "--set", f"seed={seed}", "--set", "n_sim=200"]
+        command = ["refine", f"{__file__}:noisy", "--axis", "x=0:1:0.1", "--set", f"seed={seed}", "--set", "n_sim=200"]
         goal = ("--find", "y_mean > 0", "--within", "0.01", "--json", "-o", f"{seed}.zarr")
         out = sweep(*command, *goal, cwd=tmp_path, code=0)[1]
         report = json.loads(out)

@@ -108,9 +108,6 @@ def test_blocks_tile_the_realisations_exactly_once_and_more_leave_whole_ones(n_s
 def test_a_point_is_the_same_in_any_grid_and_however_it_is_written(coins):
     tin = {**coins, "axes": {"metal": ["tin"]}, "fixed": {"coins": 5, "chance": 0.4}}
     assert set(keys_of(plan_of(tin))) <= set(keys_of(plan_of(coins)))
-    implicit = {**coins, "axes": {"coins": [1]}}
-    explicit = {**implicit, "fixed": coins["fixed"] | {"metal": "gold"}}
-    assert keys_of(plan_of(implicit)) == keys_of(plan_of(explicit))  # the default is written out
     whole = {**coins, "fixed": {"coins": 1, "chance": 0.5}, "axes": {}}
     assert keys_of(plan_of(whole | {"fixed": {"coins": 1.0}})) == keys_of(plan_of(whole))
 

@@ -306,11 +306,8 @@ def joined(inner):
     return st.one_of(st.builds(words.format, *[inner] * number) for number, words in JOINED)
 
 
-CONDITIONS = st.recursive(COMPARISONS, joined, max_leaves=6)
-
-
 @settings(max_examples=examples(100))
-@given(CONDITIONS)
+@given(st.recursive(COMPARISONS, joined, max_leaves=6))
 def test_rows_are_those_of_pandas(condition):
     wanted = FRAME.eval(condition, engine="python").to_numpy(dtype=bool)
     if wanted.any():
