@@ -792,8 +792,8 @@ def set_up_row_groups(
         for note in some:
             noted.setdefault(note, group.first)
     known = np.concatenate([np.repeat(*one) for one in epochs])
-    if len(there := releases_at(known)) > 1:
-        raise SweepError(f"rows have the epochs of {' and '.join(there)}, each in its own frame", str(path))
+    if mixed := files.of_two_releases(reader.row_groups(path)[1], known):
+        raise SweepError(mixed, str(path))
     epoch = default_epoch(known) if options.epoch is None else options.epoch
     said = [f"{path.name}, from row {first + 1} on: {note}" for note, first in noted.items()]
     if (more := len(said) - MOST_NOTES) > 0:

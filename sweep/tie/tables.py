@@ -8,7 +8,7 @@ import json
 import logging
 import re
 import socket
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import redirect_stdout, suppress
 from dataclasses import dataclass, field, replace
 from importlib import resources
@@ -270,6 +270,13 @@ def astrometric_table(table: Any, where: str, digest: str, options: TableOptions
     return AstrometricTable(where, digest, astrometry, names, read.notes, _used(read), releases, options)
 
 
+def of_two_releases(names: Iterable[str], epochs: Array) -> list[str]:
+    """Return a problem where a table with columns of these names has rows at the epochs of two releases of Gaia."""
+    there = sorted({*releases_at(epochs)} - {"dr5"})
+    are_two = len(there) > 1 and {*map(str.casefold, names)} >= archives.GAIA_MARKS
+    return [f"rows have the epochs of {' and '.join(there)}, each in its own frame"] if are_two else []
+
+
 def _releases(read: Columns, names: Mapping[str, Texts], epochs: Array) -> dict[str, str]:
     """Return the release of Gaia by column of its designations, and that of source_id, which is theirs or that of the
     ``epochs`` of rows with motions; rows of two are a problem.
@@ -281,8 +288,7 @@ def _releases(read: Columns, names: Mapping[str, Texts], epochs: Array) -> dict[
             releases[name] = min(there)
         if len(there) > 1:
             read.problems.append(f"column {name!r} has rows of {' and '.join(sorted(there))}, each in its own frame")
-    if len(there := set(releases_at(epochs)) - {"dr5"}) > 1 and {*map(str.casefold, read.names)} >= archives.GAIA_MARKS:
-        read.problems.append(f"rows have the epochs of {' and '.join(sorted(there))}, each in its own frame")
+    read.problems += of_two_releases(read.names, epochs)
     near = releases_at(epochs)
     release = next(iter(releases.values()), near[0] if len(near) == 1 else "")
     return {name: release for name in names if name.casefold() == "source_id"} | releases
