@@ -12,17 +12,8 @@ from threading import Lock
 from typing import Any
 
 from linksweep.sweep.code import Code, SourceFunction, version_of
-from linksweep.sweep.contract import (
-    Experiment,
-    Named,
-    Output,
-    Parameter,
-    Point,
-    SweepError,
-    Unknown,
-    setting_problem,
-    shown,
-)
+from linksweep.sweep.contract import Experiment, Named, Output, Parameter, Point, SweepError, Unknown, shown
+from linksweep.sweep.contract.experiment import setting_problem
 from linksweep.sweep.formatting import command_line, host, now
 from linksweep.sweep.functions.adapter import experiment_of_record, layout_of_record
 from linksweep.sweep.studies.reader import study_of_attributes
