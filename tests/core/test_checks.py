@@ -46,7 +46,6 @@ PROBLEMS = [
     ({"catalogue": "file"}, "catalogue = 'file' needs a file"),
     (GALAXIES | {"v_max": 10.9}, "v_max = 10.9 mag: "),
     *((RADIO | {"v_max": 9.0}, "v_max: "), (RADIO | {"aberration": True}, "aberration: ")),
-    (RADIO | BOTH | {"n_obj": None}, "reference_errors and satellite_errors"),
     ({"satellite_errors": "catalogue"}, "satellite_errors = 'catalogue': "),
     ({"satellite_errors": "normal", "satellite_sigma_pos": 2e7}, "errors of 2e+07 mas and 1 mas/yr: must be from"),
     ({"mission_length": 5e-324}, "errors of inf mas and inf mas/yr: must be from"),

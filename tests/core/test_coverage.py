@@ -1,8 +1,5 @@
 """The errors of the link's results cover: over independent copies (value - truth) / error scatters by one."""
 
-from pathlib import Path
-from tempfile import TemporaryDirectory
-
 import numpy as np
 import pytest
 
@@ -32,13 +29,12 @@ OTHERS = [(case, 12, 64) for case in LINKS if case not in ("quasars", "three-obj
 
 
 @pytest.mark.parametrize(("case", "n_cat", "n_sim"), [("leak", 20, 8), *(slow(*a) for a in ONE + FEW + MORE + OTHERS)])
-def test_every_error_of_a_link(case, n_cat, n_sim):
+def test_every_error_of_a_link(tmp_path, case, n_cat, n_sim):
     """That of realisations holds the catalogues fixed, that of their choice their prediction, and both make up all."""
     axes = {"error_scale": [1.0 + 1e-9 * k for k in range(150)]}
     sampling = {"n_sim": n_sim, "n_cat": n_cat, "seed": 3}
     study = {"title": "Copies", "axes": axes, "fixed": LINKS[case], "sampling": sampling}
-    with TemporaryDirectory() as folder:
-        dataset = linksweep.run(study, Path(folder) / "s.zarr", pool="serial").load()
+    dataset = linksweep.run(study, tmp_path / "s.zarr", pool="serial")
     glide = ("glide_sigma",) if "solve_glide" in LINKS[case] else ()
     for name in ("sigma", "sigma_spin", "sigma_orientation", *glide):
         value, by_chance, predicted = (dataset[f"{name}{end}"] for end in ("", "_mc_error", "_rms_predicted"))
