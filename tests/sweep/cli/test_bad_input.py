@@ -35,7 +35,7 @@ FOREIGN = {  # by what stands there: its files, and what is said
     "half made": ({"blocks/zarr.json": "{}"}, "zarr.json and its copy in blocks are both damaged"),
     "cut metadata": ({"zarr.json": '{"attributes": {"linksweep_f'}, NOT_A_STORE),
     "foreign Zarr": ({"zarr.json": json.dumps(ROOT | {"attributes": {"a": 1}})}, NOT_A_STORE),
-    "newer": ({"zarr.json": json.dumps(ROOT | {"attributes": {"linksweep_format": 99}})}, "has store format 99; this"),
+    "newer": ({"zarr.json": json.dumps(ROOT | {"attributes": {"linksweep_format": 99}})}, "It is newer: upgrade"),
 }
 
 
