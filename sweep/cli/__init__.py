@@ -21,7 +21,6 @@ import signal
 import sys
 import textwrap
 import threading
-import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
 from dataclasses import dataclass, replace
@@ -173,6 +172,8 @@ def _keys(context: click.Context, parameter: click.Parameter, incomplete: str) -
     """Offer the axes of the study that was given before and what it fixes, or the parameters of the function, and where
     they are no axes what all studies have.
     """
+    import tomllib  # which `sweep --help` does without
+
     # The study is not parsed yet where an option lacks its value, and is three words to bash if it names a function.
     words = [*filter(None, [context.params.get("study")]), *context.args]
     study = "".join(words[: 3 if words[1:2] == [":"] else 1])

@@ -3,7 +3,6 @@
 import signal
 import sys
 import time
-import tomllib
 from collections.abc import Iterable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -46,8 +45,7 @@ def list_studies(as_json: bool = JSON) -> None:
     sweep list
     """
     studies = {}
-    for name, path in known.built_in_studies().items():
-        document = tomllib.loads(path.read_text(encoding="utf-8"))
+    for name, document in _built_in().items():
         studies[name] = {key: document.get(key, "") for key in ("title", "question")} | {"answer": _answer(name)}
     if as_json:
         cli.put(to_json(studies))
@@ -56,6 +54,13 @@ def list_studies(as_json: bool = JSON) -> None:
         cli.print_styled(name, bold=True)
         for sentence in (study["title"], *(study["answer"] or [study["question"]])):
             cli.print_wrapped(sentence, "    ", "    ")
+
+
+def _built_in() -> dict[str, dict[str, Any]]:
+    """Return the built-in studies as they are written, by name."""
+    import tomllib  # which `sweep --help` does without
+
+    return {name: tomllib.loads(path.read_text("utf-8")) for name, path in known.built_in_studies().items()}
 
 
 def _answer(name: str) -> list[str]:
@@ -203,8 +208,7 @@ def plot(
 
 def paper_studies(published: bool) -> "list[linksweep.Study]":
     """Return the built-in studies in the order of the paper, or those that have ``published`` numbers or claims."""
-    texts = {name: tomllib.loads(path.read_text("utf-8")) for name, path in known.built_in_studies().items()}
-    names = [name for name, text in texts.items() if not published or {"published", "claim"} & text.keys()]
+    names = [name for name, text in _built_in().items() if not published or {"published", "claim"} & text.keys()]
     others = sorted(set(names).difference(PAPER_ORDER))
     return [linksweep.load_study(name) for name in (*PAPER_ORDER, *others) if name in names]
 
