@@ -266,7 +266,8 @@ def astrometric_table(table: Any, where: str, digest: str, options: TableOptions
     names = _names(read)
     releases = _releases(read, names, epoch[np.all(present[3:], axis=0)])
     read.finish()
-    astrometry = core.with_variance(astrometry, np.outer([1.0, 1.0, 0.0, 0.0, 0.0], astrometry.shared**2))
+    if np.any(astrometry.shared):
+        astrometry = core.with_variance(astrometry, np.outer([1.0, 1.0, 0.0, 0.0, 0.0], astrometry.shared**2))
     return AstrometricTable(where, digest, astrometry, names, read.notes, _used(read), releases, options)
 
 
@@ -430,6 +431,7 @@ def _in_single_precision(read: Columns, name: str) -> bool:
 
 def _rounded(angle: Array, error: Array) -> Indices:
     """Return the rows of angles (N,) whose last decimal, in any usual unit, is worth more than their errors."""
+    angle, error = angle[:10_000], error[:10_000]  # which tell of a million
     rounded = np.zeros(len(angle), dtype=bool)
     with np.errstate(invalid="ignore", divide="ignore"):
         for unit in (1.0, DEGREE, ARCSEC, 15.0 * ARCSEC):
@@ -538,8 +540,10 @@ def _correlations(read: Columns, present: Flags) -> Array | None:
     zero = f"no {first_of(absent, 5)}: a correlation without a column counts as 0" if absent else ""
     read.notes += [zero] if zero else []
     zero += "of corr_vec, the columns of the upper triangle one after the other" if vector else ""
-    matrices = np.tile(np.eye(len(present)), (len(read), 1, 1))
-    matrices[:, first, second] = matrices[:, second, first] = correlations.T
+    acting = correlations.any(axis=1)  # parameters that are correlated with none change nothing
+    used, at = np.unique([first[acting], second[acting]], return_inverse=True)
+    matrices, (i, j) = np.tile(np.eye(len(used)), (len(read), 1, 1)), at.reshape(2, -1)
+    matrices[:, i, j] = matrices[:, j, i] = correlations[acting].T
     wrong, hint = ~(core.positive_definite(matrices) | gone.any(axis=0)), f"; {zero}" if zero else ""
     read.check(wrong, "correlations that are impossible (not positive definite)", hint=hint)
     return correlations
