@@ -570,9 +570,9 @@ def named(what: str, values: object, known: Sequence[str], noun: str) -> list[st
 def setting_problem(one: Parameter | Output) -> str | None:
     """Return which text, truth value or unit of a declaration is none, None if all are."""
     for each in fields(one):
-        for kind, words in ((str, WORDS["str"]), (bool, "True or False")):
-            if each.type is kind and not isinstance(value := getattr(one, each.name), kind):
-                return f"{each.name} = {shown(value)}: must be {words}"
+        value, kind = getattr(one, each.name), each.type
+        if kind in (str, bool) and not isinstance(value, kind):
+            return f"{each.name} = {shown(value)}: must be {WORDS['str'] if kind is str else 'True or False'}"
     return unit_problem(one.unit)
 
 

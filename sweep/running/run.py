@@ -36,7 +36,16 @@ from linksweep.sweep.stores.ledger import Record
 from linksweep.sweep.stores.location import Where, holder, locked, writing
 from linksweep.sweep.stores.store import BLOCKS, CODE, OpenStore, Store, create_store, replace_store, seen, store_at
 from linksweep.sweep.studies.reader import problems_of_results
-from linksweep.sweep.studies.record import RECORD, as_recorded, begun_by, made_by, provenance, recorded, recorded_study
+from linksweep.sweep.studies.record import (
+    RECORD,
+    as_recorded,
+    as_written,
+    begun_by,
+    made_by,
+    provenance,
+    recorded,
+    recorded_study,
+)
 from linksweep.sweep.studies.study import CONVENTION, PART, Study
 from linksweep.sweep.tables.columns import Flags, content_digest, rows_where
 from linksweep.sweep.tables.reader import from_frame
@@ -688,8 +697,8 @@ class Session:
             now = {"study_digest": whole.digest(), "error_convention": CONVENTION, BLOCKS: len(store.rows)}
             # What changes no point may be other than in the store, such as a claim, but for the name of a curve.
             now |= {"published_digest": whole.published.digest} if whole.published else {}
-            written, ours = (json.loads(one["study_document"]) for one in (store.attributes, provenance(whole)))
-            is_same = all(written.get(key) == ours[key] for key in whole.sections if key != "define")
+            sections = as_written({key: one for key, one in whole.sections.items() if key != "define"})
+            is_same = sections.items() <= json.loads(store.attributes["study_document"]).items()
             is_stored = is_same and now.items() <= store.attributes.items()
             failed = wanted is not None and not store.failures.keys().isdisjoint(wanted)
             session.is_left_alone = is_stored and not failed and not accumulator.survey.pending.blocks

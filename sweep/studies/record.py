@@ -76,6 +76,12 @@ def _jsonable(value: Any) -> Any:
     return value.item() if hasattr(value, "item") else plain(value)  # numbers of NumPy
 
 
+def as_written(sections: Mapping[str, Any]) -> dict[str, Any]:
+    """Return sections of a study as the document of a store has them."""
+    written: dict[str, Any] = json.loads(json.dumps(sections, default=_jsonable))
+    return written
+
+
 def recorded_study(attributes: Mapping[str, Any], where: str, *, whole: bool = False) -> Study:
     """Return the study of a store, with an experiment that is made from the store's record and computes nothing; the
     ``whole`` document says what another store needs to make the study again.

@@ -775,9 +775,10 @@ def set_up_row_groups(
     Without ``per_source`` the result has no positions of the sources, which saves memory.
     """
     path = Path(satellite).resolve()
-    sizes, names = reader.row_groups(path)
+    sizes, columns = reader.row_groups(path)
+    names = columns
     if not isinstance(options.known_spin, str):
-        names = files.columns_needed(names, table_options(options)["satellite"], parse_bins(options.bins)[:1])
+        names = files.columns_needed(columns, table_options(options)["satellite"], parse_bins(options.bins)[:1])
     digest, n = digest_once(path), sum(sizes)
     firsts = np.cumsum([0, *sizes]).tolist()
     groups = [RowGroup(path, digest, k, firsts[k], tuple(names), options) for k, size in enumerate(sizes) if size]
@@ -792,7 +793,7 @@ def set_up_row_groups(
         for note in some:
             noted.setdefault(note, group.first)
     known = np.concatenate([np.repeat(*one) for one in epochs])
-    if mixed := files.of_two_releases(reader.row_groups(path)[1], known):
+    if mixed := files.of_two_releases(columns, known):
         raise SweepError(mixed, str(path))
     epoch = default_epoch(known) if options.epoch is None else options.epoch
     said = [f"{path.name}, from row {first + 1} on: {note}" for note, first in noted.items()]
