@@ -122,8 +122,8 @@ def isotropic(
     return position(np.moveaxis(GALACTIC_AXES.T @ galactic, -2, 0))
 
 
+# Parameters of random positions.
 RANDOM_SKY = frozenset({"zone_of_avoidance", "sky_contrast"})
-"""Parameters of random positions."""
 
 
 class CatalogueKind:
@@ -132,19 +132,18 @@ class CatalogueKind:
     It may read ``n_obj`` of a point and the parameters that `uses` names.
     """
 
+    # Parameters that it may use, beside n_obj.
     parameters: frozenset[str]
-    """Parameters that it may use, beside n_obj."""
 
     extragalactic = True
 
+    # Whether `draw` also takes several generators as one, whose methods return arrays with a first axis of catalogues,
+    # and then returns a `Catalogue` of shape (catalogues, N), or (N,) where all are the same: this makes many small
+    # catalogues faster.
     draws_several = False
-    """Whether `draw` also takes several generators as one, whose methods return arrays with a first axis of catalogues,
-    and then returns a `Catalogue` of shape (catalogues, N), or (N,) where all are the same: this makes many small
-    catalogues faster.
-    """
 
+    # Where objects stand if a point does not say so: at random ("isotropic") or at their "own" positions.
     positions = "isotropic"
-    """Where objects stand if a point does not say so: at random ("isotropic") or at their "own" positions."""
 
     def has_random_positions(self, point: Point) -> bool:
         """Return whether positions are drawn, so that `RANDOM_SKY` matters."""
@@ -154,8 +153,8 @@ class CatalogueKind:
         """Return the parameters, beside n_obj, on which the catalogue of a point depends."""
         return self.parameters if self.has_random_positions(point) else self.parameters - RANDOM_SKY
 
+    # How many objects there are if a point does not set n_obj, unless that depends on the point.
     number = 0
-    """How many objects there are if a point does not set n_obj, unless that depends on the point."""
 
     def available(self, point: Point) -> int:
         """Return how many objects there are if a point does not set n_obj; raises ValueError or SweepError where that
@@ -266,15 +265,15 @@ class Synthetic(CatalogueKind):
 
 
 V_MAX = np.arange(14.0, 20.5, 0.5)
+# Quasars brighter than each of `V_MAX`.  Source: Metz & Geffert 2004, Table 1 (from Veron-Cetty & Veron 2001).
 COUNT = np.array([28, 49, 88, 163, 315, 624, 1156, 2056, 3453, 5542, 8095, 11442, 15533])
-"""Quasars brighter than each of `V_MAX`.  Source: Metz & Geffert 2004, Table 1 (from Veron-Cetty & Veron 2001)."""
 
+# Bright end of the counts; 3C 273 has V = 12.9.
 BRIGHTEST_MAG = 12.8
-"""Bright end of the counts; 3C 273 has V = 12.9."""
 
+# Fraction of all quasars brighter than V that the catalogue holds.  Source: Metz & Geffert 2004, Sect. 5.1 (57 +- 16
+# % and 5.4 +- 0.1 %, from the SDSS).
 _COMPLETENESS = ((16.5, 0.57), (19.0, 0.054))
-"""Fraction of all quasars brighter than V that the catalogue holds.  Source: Metz & Geffert 2004, Sect. 5.1 (57 +- 16
-% and 5.4 +- 0.1 %, from the SDSS)."""
 
 
 @lru_cache(maxsize=1024)
@@ -359,16 +358,15 @@ class Quasars(CatalogueKind):
         return point["n_obj"] is None and self.magnitudes(point)[1] in V_MAX
 
 
+# Certain galaxies in Tycho-2.  Source: Metz & Geffert 2004, Sect. 3.2 and Table 1.
 N_GALAXIES = 116
-"""Certain galaxies in Tycho-2.  Source: Metz & Geffert 2004, Sect. 3.2 and Table 1."""
 
+# V_T of the galaxies in Tycho-2.  Source: Metz & Geffert 2004, Sect. 3.2 (mean 12.5); scatter and limit are
+# estimates.
 GALAXY_MEAN_MAG, GALAXY_SCATTER_MAG, GALAXY_FAINT_LIMIT_MAG = 12.5, 0.5, 13.5
-"""V_T of the galaxies in Tycho-2.  Source: Metz & Geffert 2004, Sect. 3.2 (mean 12.5); scatter and limit are
-estimates.
-"""
 
+# No galaxy is as bright as the first: seven times the scatter above the mean.
 BRIGHTEST_GALAXY_MAG, SMALLEST_V_MAX = 9.0, 11.0
-"""No galaxy is as bright as the first: seven times the scatter above the mean."""
 
 
 class Galaxies(CatalogueKind):
@@ -406,6 +404,11 @@ class Galaxies(CatalogueKind):
         return _in_limits(brightest, faintest)
 
 
+# The 11 radio stars that tied Hipparcos to the extragalactic frame; ICRS positions, VLBI proper motions.
+#
+# Source: Lestrade et al. 1999, A&A 344, 1014 (VLBI proper motions and errors); V from the Hipparcos Catalogue (ESA
+# 1997), as Metz & Geffert 2004, Sect. 5.3, say they did.  Algol's row and all V are from compilations of the Hipparcos
+# era and were not confirmed in print.
 # name, HIP, V, ra and dec (deg), pmra (with cos dec), its error, pmdec, its error (mas/yr)
 RADIO_STARS = (
     ("LS I +61 303", 12469, 10.75, 40.1319, 61.2293, 0.967, 0.26, -1.21, 0.32),
@@ -420,12 +423,6 @@ RADIO_STARS = (
     ("AR Lac", 109303, 6.1, 332.1702, 45.7422, -52.08, 0.126, 47.03, 0.19),
     ("IM Peg", 112997, 5.9, 343.2595, 16.8412, -20.587, 0.459, -27.53, 0.40),
 )
-"""The 11 radio stars that tied Hipparcos to the extragalactic frame; ICRS positions, VLBI proper motions.
-
-Source: Lestrade et al. 1999, A&A 344, 1014 (VLBI proper motions and errors); V from the Hipparcos Catalogue (ESA 1997),
-as Metz & Geffert 2004, Sect. 5.3, say they did.  Algol's row and all V are from compilations of the Hipparcos era
-and were not confirmed in print.
-"""
 
 
 class RadioStars(CatalogueKind):
@@ -462,13 +459,12 @@ class RadioStars(CatalogueKind):
 OBSERVABLES = ("ra", "dec", "pmra", "pmdec")
 CORRELATIONS = {f"{a}_{b}_corr": (i, j) for i, a in enumerate(OBSERVABLES) for j, b in enumerate(OBSERVABLES) if i < j}
 ERRORS = (*(f"{observable}_error" for observable in OBSERVABLES), *CORRELATIONS)
+# What is read of a table.  Errors and correlations may be those of one side: reference_pmra_error beside
+# satellite_pmra_error.
 QUANTITIES = (*OBSERVABLES, "v_mag", *ERRORS, *(f"{side}_{name}" for side in SIDES for name in ERRORS))
-"""What is read of a table.  Errors and correlations may be those of one side: reference_pmra_error beside
-satellite_pmra_error.
-"""
 
+# A table with one of these columns is Gaia's, so its pmra is known to include cos(dec).
 GAIA_MARKS = frozenset({"source_id", "designation", "solution_id"})
-"""A table with one of these columns is Gaia's, so its pmra is known to include cos(dec)."""
 
 
 def catalogue_from_table(
@@ -602,6 +598,7 @@ def _between(key: tuple[Any, ...], v_min: float | None, v_max: float | None) -> 
     return (whole if len(rows) == len(whole) else whole.take(rows)), rows
 
 
+# The catalogues by the name that a study gives them.
 CATALOGUES: Mapping[str, CatalogueKind] = {
     "synthetic": Synthetic(),
     "quasars": Quasars(),
@@ -609,4 +606,3 @@ CATALOGUES: Mapping[str, CatalogueKind] = {
     "radio-stars": RadioStars(),
     "file": File(),
 }
-"""The catalogues by the name that a study gives them."""

@@ -33,15 +33,13 @@ from linksweep.core.frames import Array, LinkError, product_sum
 from linksweep.core.setup import Noise, Prefixes, Setup, SharedSums, Tile, origin, parts
 from linksweep.core.unknowns import GLIDE, ORIENTATION, SPIN, link_unknowns
 
+# A function that returns, after the last tile of a chunk, what `Matrices.solved` needs, or of a noisy design what that
+# gives.
 Solved = Callable[[], tuple[Array, Array]]
-"""A function that returns, after the last tile of a chunk, what `Matrices.solved` needs, or of a noisy design what that
-gives.
-"""
 
+# Largest bound of `neglected` that is allowed, as a fraction of sigma.  Where it was tried, the effect was 13 to 75
+# times smaller than the bound: below the Monte-Carlo error of a million realisations.
 LARGEST_NEGLECT = 0.01
-"""Largest bound of `neglected` that is allowed, as a fraction of sigma.  Where it was tried, the effect was 13 to 75
-times smaller than the bound: below the Monte-Carlo error of a million realisations.
-"""
 
 
 @dataclass(frozen=True)
@@ -311,16 +309,15 @@ def _mean_change(design: FixedDesign, part: slice) -> Array:
 
 RA, DEC, PMRA, PMDEC = range(4)
 
+# Objects x realisations in one array operation, so that its arrays of 64 KiB stay near the core.
 ELEMENTS = 8192
-"""Objects x realisations in one array operation, so that its arrays of 64 KiB stay near the core."""
 
+# Angle (rad) below which two terms of the series of sin x and 1 - cos x are exact to rounding: x^5/120 and x^6/720 are
+# below 1e-17.
 SMALL_ANGLE = 1e-3
-"""Angle (rad) below which two terms of the series of sin x and 1 - cos x are exact to rounding: x^5/120 and x^6/720 are
-below 1e-17.
-"""
 
+# Largest normal deviate that is expected, in sigma; one beyond has a probability of 1e-23.
 FARTHEST = 10.0
-"""Largest normal deviate that is expected, in sigma; one beyond has a probability of 1e-23."""
 
 
 class Seen(NamedTuple):

@@ -16,8 +16,8 @@ from linksweep.core.frames import MAS, Array
 from linksweep.core.missions import CurveError, FunctionCurve, Mission, mission_of
 from linksweep.sweep.contract import Named, Point
 
+# Magnitudes at which a user's function is tested before anything runs.
 PROBES = 100
-"""Magnitudes at which a user's function is tested before anything runs."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -28,16 +28,16 @@ class ErrorModel:
     coordinate of position and of proper motion, which is added in quadrature.
     """
 
+    # Whether the errors depend on magnitudes.
     by_magnitude: ClassVar[bool] = False
-    """Whether the errors depend on magnitudes."""
+    # The sides that may have such errors.
     sides: ClassVar[tuple[str, ...]] = SIDES
-    """The sides that may have such errors."""
     common: ClassVar[tuple[str, ...]] = (
         *("error_scale", "{}_error_scale", "{}_error_ratio"),
         *("{}_floor_pos", "{}_floor_pm"),
     )
+    # The parameters of all models, and those of its own, with {} for the side.
     parameters: ClassVar[tuple[str, ...]] = ()
-    """The parameters of all models, and those of its own, with {} for the side."""
 
     scale: float = 1.0
     floor: tuple[float, float] = (0.0, 0.0)
@@ -252,13 +252,13 @@ class CatalogueErrors(ErrorModel):
         return f"{said}; a file may have those of the other: columns = {{ reference_pmra_error = ... }}"
 
 
+# The error models by the name that a study gives them.
 ERROR_MODELS: Mapping[str, type[ErrorModel]] = {
     "none": ErrorFree,
     "normal": NormalErrors,
     "magnitude": MagnitudeErrors,
     "catalogue": CatalogueErrors,
 }
-"""The error models by the name that a study gives them."""
 
 
 def error_models(point: Point) -> list[ErrorModel]:

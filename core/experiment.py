@@ -18,30 +18,28 @@ from linksweep.core.simulate import Streams, can_stack, simulate, simulate_stack
 from linksweep.core.unknowns import ALWAYS, GLIDE, GLIDE_LABELS, LABELS, ORIENTATION, SPIN, link_unknowns
 from linksweep.sweep.contract import Experiment, Point, SweepError, enlarged_error, small_sample_factor
 
+# Errors in mas and mas/yr between which the link is computed: outside, weights overflow or an error is not a small
+# angle.
 SMALLEST_ERROR, LARGEST_ERROR = 1e-9, 1e7
-"""Errors in mas and mas/yr between which the link is computed: outside, weights overflow or an error is not a small
-angle.
-"""
 
+# Position error of the reference in mas beyond which `core.designs.neglected` is too large for any isotropic
+# catalogue.
 LARGEST_PROJECTED_ERROR = 50_000.0
-"""Position error of the reference in mas beyond which `core.designs.neglected` is too large for any isotropic
-catalogue.
-"""
 
+# Objects that are needed to determine nine unknowns: two give only eight observables.
 SMALLEST_GLIDE = 3
-"""Objects that are needed to determine nine unknowns: two give only eight observables."""
 
+# The column that gives the epoch of a row, and how much epochs may differ without a warning.
 EPOCH, SAME_EPOCH_YR = "ref_epoch", 0.01
-"""The column that gives the epoch of a row, and how much epochs may differ without a warning."""
 
+# Parameters that act on proper motions alone.
 OF_MOTIONS = (
     *("zonal_pm", "motion_field", "motion_field_size", "omega_slope", "omega_slope_size"),
     *("magnitude_equation_pmra", "magnitude_equation_pmdec", "aberration", "glide"),
 )
-"""Parameters that act on proper motions alone."""
 
+# Share of the weight of all objects above which an object is named.
 LARGE_SHARE = 0.1
-"""Share of the weight of all objects above which an object is named."""
 
 
 def check(point: Point) -> str | None:
@@ -239,12 +237,12 @@ def _unused_by_errors(point: Point) -> dict[str, str]:
 
 ALL = (*LABELS, *GLIDE_LABELS)
 
+# The blocks of unknowns whose mean variance is a result.
 MEANS = (ORIENTATION, SPIN)
-"""The blocks of unknowns whose mean variance is a result."""
 
+# Where the results stand among the unknowns and these means.
 SIGMAS: dict[str, slice | int] = {"sigma": ALWAYS, "glide_sigma": GLIDE}
 SIGMAS |= {"sigma_orientation": len(ALL), "sigma_spin": len(ALL) + 1}
-"""Where the results stand among the unknowns and these means."""
 
 SUMS: Mapping[str, tuple[int, ...]] = {
     "error": (len(ALL),),
@@ -265,8 +263,8 @@ SUMS: Mapping[str, tuple[int, ...]] = {
 
 HARMONICS = 20.0
 
+# Largest number of objects x realisations in the catalogues that are computed together.
 STACK = 2**17
-"""Largest number of objects x realisations in the catalogues that are computed together."""
 
 
 def evaluate(

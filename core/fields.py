@@ -111,11 +111,11 @@ def turned(fields: Array, out: Array | None = None) -> Array:
 Vector = tuple[float, float, float]
 Pattern = tuple[tuple[Term, float], ...]
 
+# Degrees go up to this over the width: those beyond have exp(-12.5) of the power, which goes to those below.
 REACH = 5.0
-"""Degrees go up to this over the width: those beyond have exp(-12.5) of the power, which goes to those below."""
 
+# Numbers in the fields of the objects that are prepared at a time: 8 MiB.
 BASIS = 2**20
-"""Numbers in the fields of the objects that are prepared at a time: 8 MiB."""
 
 
 @dataclass(frozen=True)

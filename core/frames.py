@@ -29,8 +29,8 @@ Flags = NDArray[np.bool_]
 Texts = NDArray[np.str_]
 Names = NDArray[Any]  # of sources: texts, or numbers
 
+# The leading axis of arrays: none for one catalogue, the number of catalogues for a stack.
 Stack = tuple[int, ...]
-"""The leading axis of arrays: none for one catalogue, the number of catalogues for a stack."""
 
 
 def product_sum(a: Array, b: Array) -> Array:
@@ -45,17 +45,17 @@ def transposed_product(a: Array, b: Array) -> Array:
     return np.asarray(a.reshape(*stack, -1, a.shape[-1]).swapaxes(-1, -2) @ b.reshape(*stack, -1, b.shape[-1]))
 
 
+# One milliarcsecond in radians.
 MAS = np.pi / (180.0 * 3600.0 * 1000.0)
-"""One milliarcsecond in radians."""
 
+# One microarcsecond in radians.
 MICROARCSEC = MAS / 1000.0
-"""One microarcsecond in radians."""
 
+# One degree in radians.
 DEGREE = np.pi / 180.0
-"""One degree in radians."""
 
+# One arcsecond in radians.
 ARCSEC = DEGREE / 3600.0
-"""One arcsecond in radians."""
 
 
 def _galactic_axes() -> Array:
@@ -72,8 +72,8 @@ def _galactic_axes() -> Array:
     return np.stack([x, np.cross(pole, x), pole])
 
 
+# Matrix that rotates an ICRS vector to Galactic axes; shape (3, 3).
 GALACTIC_AXES = _galactic_axes()
-"""Matrix that rotates an ICRS vector to Galactic axes; shape (3, 3)."""
 
 
 class Triad(NamedTuple):
@@ -228,17 +228,16 @@ def exact_differences(
 
 Weighting = Literal["inverse-variance", "equal"]
 
+# cos(dec) below which ra is degenerate for a link (2 mas from the pole): differences of ra are no longer small
+# there.
 POLE_LIMIT = 1e-8
-"""cos(dec) below which ra is degenerate for a link (2 mas from the pole): differences of ra are no longer small
-there.
-"""
 
 
+# The observables that are positions, and those that are proper motions.
 OBSERVABLES = (slice(0, 2), slice(2, 4))
-"""The observables that are positions, and those that are proper motions."""
 
+# Eigenvalue of a normal matrix scaled to a diagonal of 1 below which the link is rank deficient.
 SMALLEST_EIGENVALUE = 1e-12
-"""Eigenvalue of a normal matrix scaled to a diagonal of 1 below which the link is rank deficient."""
 
 
 class LinkError(ValueError):

@@ -175,16 +175,15 @@ NOT_SHARED = frozenset(
     # They make other objects from the same numbers, so that nothing is left to compare; method draws other numbers.
     {"catalogue", "n_obj", "counts", "positions", "file", "columns", "units", "pmra_cos_dec", "method"}
 )
+# Parameters whose values do not change the random numbers of a block, only what is computed from them.
+#
+# Most act on what is computed from the normals: gains, weights and units of the errors.  Each side draws its normals
+# from a stream of its own, so a side without errors does not change those of the other; the truth draws only its
+# directions, and zonal errors those of a wider kernel from the first numbers of a narrower one, again from other
+# streams.  For v_min, mean_pm, pm_distribution, zone_of_avoidance and sky_contrast the same uniform numbers become
+# other positions, magnitudes or motions of the same objects.  Quasars to a brighter v_max (at half magnitudes) are the
+# first of those to a fainter one; in other catalogues only magnitudes change, and a file gives some of the same rows.
 SHARED = tuple(parameter.name for parameter in PARAMETERS if parameter.name not in NOT_SHARED)
-"""Parameters whose values do not change the random numbers of a block, only what is computed from them.
-
-Most act on what is computed from the normals: gains, weights and units of the errors.  Each side draws its normals from
-a stream of its own, so a side without errors does not change those of the other; the truth draws only its directions,
-and zonal errors those of a wider kernel from the first numbers of a narrower one, again from other streams.  For
-v_min, mean_pm, pm_distribution, zone_of_avoidance and sky_contrast the same uniform numbers become other positions,
-magnitudes or motions of the same objects.  Quasars to a brighter v_max (at half magnitudes) are the first of those to a
-fainter one; in other catalogues only magnitudes change, and a file gives some of the same rows.
-"""
 
 UNITS = ("mas",) * 3 + (PM,) * 3
 # No slashes: astropy warns about several in one string.

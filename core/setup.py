@@ -32,10 +32,9 @@ from linksweep.core.frames import DEGREE, GALACTIC_AXES, MAS, OBSERVABLES, Array
 from linksweep.core.unknowns import ORIENTATION, SPIN, Objects
 from linksweep.sweep.contract import Point
 
+# Glide towards the Galactic centre.  Source: Kovalevsky 2003, as quoted by Metz & Geffert 2004, Sect. 5.1; Gaia EDR3
+# has since measured 5.05.
 GALACTIC_GLIDE_UAS_YR = 4.0
-"""Glide towards the Galactic centre.  Source: Kovalevsky 2003, as quoted by Metz & Geffert 2004, Sect. 5.1; Gaia EDR3
-has since measured 5.05.
-"""
 
 
 @dataclass(frozen=True)
@@ -145,17 +144,17 @@ def _radians(point: Point, name: str) -> Vector:
 
 # ---- what realisations and points have in common
 
+# Realisations drawn at a time.
 ROWS = 512
-"""Realisations drawn at a time."""
 
+# Normals drawn at a time: 512 KiB stay in a core's own cache.
 TILE = 65536
-"""Normals drawn at a time: 512 KiB stay in a core's own cache."""
 
+# Objects whose products are added up at a time: it decides how the sums are rounded.
 PART = 2048
-"""Objects whose products are added up at a time: it decides how the sums are rounded."""
 
+# Objects that are prepared at a time, so that intermediate arrays of 128 KiB stay near the core.
 PREPARED = 16384
-"""Objects that are prepared at a time, so that intermediate arrays of 128 KiB stay near the core."""
 
 
 class Tile(NamedTuple):
@@ -248,8 +247,8 @@ def _begins(whole: Array, part: Array) -> bool:
     return origin(whole) == origin(part) or np.array_equal(part.view(np.uint64), whole[: len(part)].view(np.uint64))
 
 
+# A function that returns what unit normals (..., m, 4, rows) of the objects at a place add to a sum.
 Term = Callable[[Array, slice], Array]
-"""A function that returns what unit normals (..., m, 4, rows) of the objects at a place add to a sum."""
 
 
 class SharedSums:

@@ -13,22 +13,21 @@ from linksweep.core.frames import MAS, Array, LinkError, Stack
 from linksweep.core.setup import ROWS, Prefixes, Scenario, Setup, SharedSums, prepare, tiles
 from linksweep.core.unknowns import ALWAYS, GLIDE, ORIENTATION, SPIN
 
+# The generators of the errors of a catalogue and of the catalogue itself.
 Streams = tuple[np.random.Generator, np.random.Generator]
-"""The generators of the errors of a catalogue and of the catalogue itself."""
 
+# Sums over realisations by name, for the K = 6 unknowns orientation (mas) and spin (mas/yr).
+#
+# ``error`` (K + 3,) of estimate - truth of these and of a glide, ``error_products`` (K, K) and ``glide_squares`` (3,);
+# ``chi2``; ``batch_mean_squares`` (K + 5,), the squares of error, chi2 and the sum of condition numbers over n_sim, and
+# ``batches``, which is 1.  Counted once per realisation of the catalogue: the closed form's ``predicted_variance``
+# (K + 3,), its ``predicted_bias`` and the squares of that; of the mean square error of each unknown, and of its means
+# over orientation and over spin, the squares and cubes, ``predicted_powers`` (2, K + 5), and the variance of one
+# realisation, ``predicted_square_variance``; that of chi2, NaN where it has no closed form; the ``condition_number`` of
+# the normal matrix and ``n_obj``.  ``estimate`` are the realisations themselves, where they are kept: (n_sim, K), or
+# (n_sim, K + 3) with a glide. Errors and estimates are NaN for unknowns that no measured observable determines, or that
+# are not solved for; their other sums are zero. For a stack of catalogues all arrays have a leading axis.
 Sums = dict[str, Array]
-"""Sums over realisations by name, for the K = 6 unknowns orientation (mas) and spin (mas/yr).
-
-``error`` (K + 3,) of estimate - truth of these and of a glide, ``error_products`` (K, K) and ``glide_squares`` (3,);
-``chi2``; ``batch_mean_squares`` (K + 5,), the squares of error, chi2 and the sum of condition numbers over n_sim, and
-``batches``, which is 1.  Counted once per realisation of the catalogue: the closed form's ``predicted_variance``
-(K + 3,), its ``predicted_bias`` and the squares of that; of the mean square error of each unknown, and of its means
-over orientation and over spin, the squares and cubes, ``predicted_powers`` (2, K + 5), and the variance of one
-realisation, ``predicted_square_variance``; that of chi2, NaN where it has no closed form; the ``condition_number`` of
-the normal matrix and ``n_obj``.  ``estimate`` are the realisations themselves, where they are kept: (n_sim, K), or
-(n_sim, K + 3) with a glide. Errors and estimates are NaN for unknowns that no measured observable determines, or that
-are not solved for; their other sums are zero. For a stack of catalogues all arrays have a leading axis.
-"""
 
 
 def simulate(

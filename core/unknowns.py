@@ -169,8 +169,8 @@ class SpinByBin(Block):
     column: str
     edges: tuple[float, ...]
     used: tuple[int, ...]
+    # The limits of the bins that are used.
     bins: tuple[tuple[float, float], ...]
-    """The limits of the bins that are used."""
 
 
 def spin_by_bin(column: str, edges: tuple[float, ...], used: tuple[int, ...]) -> SpinByBin:
@@ -277,16 +277,16 @@ def link_unknowns(with_glide: bool = False, corrections: bool = True) -> Unknown
     return Unknowns((orientation, spin_block(), *([glide_block()] if with_glide else [])))
 
 
+# The unknowns that are always solved for, in their order.
 LABELS = link_unknowns().labels
-"""The unknowns that are always solved for, in their order."""
 GLIDE_LABELS = glide_block().labels
 ALWAYS = slice(0, len(LABELS))
+# Where the blocks stand among the unknowns.
 ORIENTATION, SPIN, GLIDE = (link_unknowns(with_glide=True).part(name) for name in link_unknowns(with_glide=True).names)
-"""Where the blocks stand among the unknowns."""
 
 
+# A column and the edges of its bins.
 Bins = tuple[str, Sequence[float]]
-"""A column and the edges of its bins."""
 
 
 class Asked(NamedTuple):
@@ -300,6 +300,8 @@ class Asked(NamedTuple):
     columns: Mapping[str, Array]
 
 
+# The blocks that a line may name, and the functions that make them; those with ``:L`` have degrees.  To add
+# a block, add an entry.
 KNOWN: dict[str, Callable[[Asked], Block]] = {
     "orientation": lambda asked: link_unknowns().blocks[0],
     "position_glide": lambda asked: Block("position_glide", _xyz("position_glide"), POSITION, False, flow),
@@ -309,9 +311,6 @@ KNOWN: dict[str, Callable[[Asked], Block]] = {
     "vsh_position:L": lambda asked: _harmonics(asked, "orientation", "position_glide", POSITION),
     "vsh_motion:L": lambda asked: _harmonics(asked, "spin", "glide", MOTION),
 }
-"""The blocks that a line may name, and the functions that make them; those with ``:L`` have degrees.  To add
-a block, add an entry.
-"""
 
 
 def parse_unknowns(

@@ -13,8 +13,8 @@ import numpy as np
 from linksweep.core.frames import Array
 from linksweep.sweep.contract import DefinitionError, Function, Named, SweepError, rescaled, shown, suggest
 
+# A function that returns the standard error at each magnitude, in the same shape.
 Curve = Callable[[Array], Array]
-"""A function that returns the standard error at each magnitude, in the same shape."""
 
 
 class CurveError(ValueError):
@@ -164,8 +164,8 @@ class Mission:
 
 
 AMEX_PM = Exponentials(((0.139, 0.215, 9.0), (14.2, 0.973, 15.0)))
+# The curves that were fitted to the tables of Metz & Geffert 2004: docs/calibration.md.
 GAIA_PM = Exponentials(((0.01496, 0.443, 15.0),))
-"""The curves that were fitted to the tables of Metz & Geffert 2004: docs/calibration.md."""
 
 
 @dataclass(frozen=True)
@@ -182,6 +182,7 @@ class Calibrated:
         return np.asarray(np.sqrt(np.einsum("iv,ij,jv->v", gradient, np.array(self.log_covariance), gradient)))
 
 
+# The calibrated curves by mission; `linksweep.core.missions.calibrate` gives these numbers.
 # The covariances are those of the free fits, whose constants are within their errors of those above.
 CALIBRATED: Mapping[str, Calibrated] = {
     "amex": Calibrated(
@@ -195,16 +196,14 @@ CALIBRATED: Mapping[str, Calibrated] = {
     ),
     "gaia": Calibrated(GAIA_PM, ((1.14e-4, -4.70e-5), (-4.70e-5, 4.12e-4))),
 }
-"""The calibrated curves by mission; `linksweep.core.missions.calibrate` gives these numbers."""
 
 _GAIA_2001_MAG = tuple(float(g) for g in range(10, 22))
 _GAIA_2001_POS_UAS = (3, 3, 3, 4, 6, 9, 15, 23, 39, 70, 140, 440)
 _GAIA_2001_PM_UAS = (3, 3, 3, 4, 5, 8, 13, 20, 34, 60, 120, 380)
 
+# Medians of DR3's proper-motion errors at G < 8 are 0.046 to 0.051 mas/yr, where PyGaia's formula says 0.012;
+# positions follow from PyGaia's ratio of positions to motions, and other releases as T^-1/2 and T^-3/2.
 BRIGHT_MAG, BRIGHT_POS_MAS, BRIGHT_PM_MAS_YR = 8.0, 0.037, 0.048
-"""Medians of DR3's proper-motion errors at G < 8 are 0.046 to 0.051 mas/yr, where PyGaia's formula says 0.012;
-positions follow from PyGaia's ratio of positions to motions, and other releases as T^-1/2 and T^-3/2.
-"""
 
 
 def _release(release: Release, months: float) -> Mission:
@@ -220,6 +219,7 @@ def _release(release: Release, months: float) -> Mission:
     )
 
 
+# The built-in missions by name.
 MISSIONS: Mapping[str, Mission] = {
     "amex": Mission(
         curve_pos_mas=AMEX_PM.times(0.60),
@@ -256,7 +256,6 @@ MISSIONS: Mapping[str, Mission] = {
     "gaia-dr4": _release("dr4", 60),
     "gaia-dr5": _release("dr5", 120),
 }
-"""The built-in missions by name."""
 
 UserCurve = Exponentials | LogLinear | FunctionCurve
 
@@ -264,8 +263,8 @@ UNITS_MAS = {"mas": 1.0, "uas": 1e-3}
 
 SIGMA_MAS = 1e-9, 1e7
 MAGNITUDES = -5.0, 30.0
+# Change of ln(sigma) per magnitude, so that no curve of finite values vanishes or overflows.
 SLOPES = -10.0, 10.0
-"""Change of ln(sigma) per magnitude, so that no curve of finite values vanishes or overflows."""
 YEARS = 1e-3, 1e3
 
 KEYS = (

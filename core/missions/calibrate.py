@@ -35,23 +35,22 @@ PAPER_MC_ERROR = 1.0 / np.sqrt(2.0 * 3.0 * 10_000)
 # smallest, decide alone and the bright GAIA cells are off by 11 %.
 MODEL_ERROR = 0.03
 
+# How far a number may be off, relative or in mas/yr, whichever is more.
+#
+# Stricter than what the project promises for the paper's tables (Table 1: AMEX 0.02 mas/yr, GAIA 7 %; galaxies 0.02
+# mas/yr; Table 2: 6 % or 0.0015 mas/yr), to leave room for a simulation's own error.
 LIMITS: dict[tuple[str, str], tuple[float, float]] = {
     ("amex", "quasars"): (0.0, 0.013),
     ("amex", "galaxies"): (0.0, 0.02),
     ("amex", "radio-stars"): (0.055, 0.0014),
     ("gaia", "quasars"): (0.057, 0.0),
 }
-"""How far a number may be off, relative or in mas/yr, whichever is more.
 
-Stricter than what the project promises for the paper's tables (Table 1: AMEX 0.02 mas/yr, GAIA 7 %; galaxies 0.02
-mas/yr; Table 2: 6 % or 0.0015 mas/yr), to leave room for a simulation's own error.
-"""
-
+# The constants of each curve, amplitudes in mas/yr and slopes in 1/mag.
 CONSTANTS: dict[Model, tuple[str, ...]] = {
     "amex": ("amplitude_bright", "slope_bright", "amplitude_faint", "slope_faint"),
     "gaia": ("amplitude", "slope"),
 }
-"""The constants of each curve, amplitudes in mas/yr and slopes in 1/mag."""
 
 
 @dataclass(frozen=True)

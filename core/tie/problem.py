@@ -755,8 +755,8 @@ class StreamedSources:
     run: Callable[[Callable[..., Any], Iterable[tuple[Any, ...]]], Iterator[Any]]
     _last: list[tuple[Array | Flags, NormalSums]] = field(default_factory=list, repr=False, compare=False)
 
+    # The sums of single sources are not kept.
     sums = None
-    """The sums of single sources are not kept."""
 
     @cached_property
     def count(self) -> Array:

@@ -53,8 +53,8 @@ class Measured:
     broken: str = ""
 
 
+# The index of a point, and our number there.
 At = tuple[dict[str, int], Measured]
-"""The index of a point, and our number there."""
 
 
 def in_words(derived: Slope | Ratio | Reading) -> str:

@@ -34,11 +34,10 @@ ROUNDING = 1.0 + 1e-9
 OFF_CENTRE = 0.2  # a midpoint may be off by this share of the way to it, so that it has few digits
 
 
+# What is to be known: where ``find``, a condition, begins or ceases to be met, to ``within`` in the unit of the axis
+# ``along``; or, ``until`` its error is small enough, the ``variable`` between points.  There may be ``most``
+# realisations in the end.  What is not said is None.
 Goal = Mapping[str, Any]
-"""What is to be known: where ``find``, a condition, begins or ceases to be met, to ``within`` in the unit of the axis
-``along``; or, ``until`` its error is small enough, the ``variable`` between points.  There may be ``most`` realisations
-in the end.  What is not said is None.
-"""
 
 
 def read(goal: Goal, study: Study) -> tuple[laws.Limit, str]:
@@ -104,8 +103,8 @@ class Refinement:
         return said
 
 
+# How well something is known; the first points of intervals that need a point; factors of realisations of points.
 Lack = tuple[float, Sequence[int], Mapping[int, float]]
-"""How well something is known; the first points of intervals that need a point; factors of realisations of points."""
 
 
 def at_crossings(line: laws.Line, met: NDArray[np.bool_], level: float, within: float) -> Iterator[Lack]:

@@ -35,8 +35,8 @@ WORST_POINTS = 3  # how many points have their components shown
 STEP = "step"  # the attribute of places on an axis that have no errors: that of the axis, which says their digits
 LEAST_SHARE = 1.0  # of a result, in percent, that a sentence names
 
+# By the names of variables their unit and meaning; those of NAME say what NAME_error is.
 Meanings = Mapping[str, tuple[str, str]]
-"""By the names of variables their unit and meaning; those of NAME say what NAME_error is."""
 
 
 def derived(

@@ -43,8 +43,8 @@ if TYPE_CHECKING:
     from linksweep.sweep.studies.study import Part
     from linksweep.sweep.table_writer import Table
 
+# The type of the path of a file or folder, which need not exist.
 FILE = click.Path(path_type=Path)
-"""The type of the path of a file or folder, which need not exist."""
 
 WORKERS = click.IntRange(1, MOST_WORKERS)
 POSITIVE = click.FloatRange(0.0, min_open=True)
@@ -334,22 +334,21 @@ def part_of(store: "Location", at: At, excluded_too: bool = False, running: bool
 EXIT_FAILED_POINTS = 1
 EXIT_BAD_INPUT = 2
 
+# The least columns of a terminal that tables and sentences are made to fit.
 NARROWEST = 40
-"""The least columns of a terminal that tables and sentences are made to fit."""
 
+# Seconds that Python's own clean-up may take after a signal before the process ends without it.
 LAST_SECOND = 1.0
-"""Seconds that Python's own clean-up may take after a signal before the process ends without it."""
 
+# A filter of warnings for processes that are started: a sudden end leaves semaphores, and the process that removes
+# them would warn the user.
 NO_LEAK_WARNING = "ignore:resource_tracker"
-"""A filter of warnings for processes that are started: a sudden end leaves semaphores, and the process that removes
-them would warn the user.
-"""
 
+# The commands as the help lists them.
 SECTIONS: dict[str, dict[str, str]] = {name: {} for name in ("Run", "Look", "Compare", "Store care", "Your own")}
-"""The commands as the help lists them."""
 
+# The standard output of the command: while it works, `sys.stdout` is standard error, for what others print.
 RESULTS: list[Any] = [None]
-"""The standard output of the command: while it works, `sys.stdout` is standard error, for what others print."""
 
 # What tables and tiles are made of, for streams whose encoding lacks it.
 PLAIN = {"±": "+-", "█": "#", "×": "x", "·": ".", "…": ".", **dict(zip("▁▂▃▄▅▆▇", "1234567", strict=True))}

@@ -30,11 +30,11 @@ KIND_HELP = f"What to draw: {', '.join(ALL_KINDS)}.  [default: what suits the re
 PERCENT = click.FloatRange(0.0, 100.0, min_open=True, max_open=True)
 LAWS = "power: variable ~ over^p; levelling: variable^2 = plateau^2 + c exp(-rate x over)."
 
+# The studies of Metz & Geffert 2004, by section; all others follow, sorted by name.
 PAPER_ORDER = (
     *("algorithm", "error-surface", "sqrt-n", "scatter", "quasars", "galaxies", "completeness", "mission-length"),
     *("aberration", "radio-stars"),
 )
-"""The studies of Metz & Geffert 2004, by section; all others follow, sorted by name."""
 
 
 @cli.command("Look", "List the built-in studies and their answers", name="list")
@@ -422,13 +422,13 @@ def compare(
         sys.exit(cli.EXIT_FAILED_POINTS)
 
 
+# Rows of tiles in a terminal.
 MOST_ROWS = 12
-"""Rows of tiles in a terminal."""
 
 COLOURS = {"running": "cyan", "done": "green", "finished": "green", "failed": "bold red", "stopped": "yellow"}
 MARKS = {"done": "█", "failed": "×", "waiting": "·"}
+# Marks of a tile that is running, by how much of it is done.
 PARTLY = "▁▂▃▄▅▆▇"
-"""Marks of a tile that is running, by how much of it is done."""
 
 
 @cli.command("Look", "Watch runs: points, speed, failures; --web: a page")

@@ -45,11 +45,11 @@ POOL_HELP = (
 )
 WITH_WORKERS = [name for name, pool in POOLS.items() if pool.has_workers]
 
+# Programs that `sweep status` names in a terminal: numbers may depend on their versions.
 DECIDING = ("linksweep", "python", "numpy", "scipy")
-"""Programs that `sweep status` names in a terminal: numbers may depend on their versions."""
 
+# The second does not pass its messages on to the first.
 DASK = [logging.getLogger(name) for name in ("distributed", "distributed.client")]
-"""The second does not pass its messages on to the first."""
 
 WHOLE = "every file is as it was written"
 OTHER_CODE = "computed by other code than the store was: "
@@ -87,8 +87,8 @@ def resources(
     return Resources(workers, pool, scheduler, tls, cluster, linksweep.Limits(time_limit, memory_limit), dashboard)
 
 
+# How a file begins to which an option appends.
 BEGINS = {"log": rb"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} [A-Z]+ |$)", "events": rb'(\{"event": |$)'}
-"""How a file begins to which an option appends."""
 
 
 def _log_file(context: click.Context, parameter: click.Parameter, value: str | None) -> TextIO | None:

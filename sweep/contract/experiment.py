@@ -42,8 +42,8 @@ class SweepError(Exception):
         where: the file or command that they are about.
     """
 
+    # With which a command ends.
     exit_code = 2
-    """With which a command ends."""
 
     def __init__(self, problems: str | Sequence[str], where: str = "") -> None:
         self.problems = [harmless(text) for text in ([problems] if isinstance(problems, str) else problems)]
@@ -837,13 +837,12 @@ class Experiment:
         if faults := _problems(self):
             raise SweepError(faults, f"experiment {shown(self.name)}")
 
+    # Whether points that share no random numbers are computed in one call, and whether every call at a point is to
+    # return the same.
     vectorised = repeatable = False
-    """Whether points that share no random numbers are computed in one call, and whether every call at a point is to
-    return the same.
-    """
 
+    # How far the result of a point among others may be from that of the point alone, relative to it.
     tolerance = 0.0
-    """How far the result of a point among others may be from that of the point alone, relative to it."""
 
     @property
     def deterministic(self) -> bool:

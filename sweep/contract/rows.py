@@ -320,13 +320,12 @@ class BlockRows(Mapping[bytes, int]):
         return self._sorted
 
 
+# The most values of a chunk of results, 8 MB of floats.  Values are counted and not bytes, so that results on the same
+# axes have the same chunks whatever their types, as Dask wants.
 MOST_VALUES = 2**20
-"""The most values of a chunk of results, 8 MB of floats.  Values are counted and not bytes, so that results on the same
-axes have the same chunks whatever their types, as Dask wants.
-"""
 
+# What a row has in place of each chunk of a large array: the checksum of its file; zeros are none.
 REFERENCE = np.dtype("V16")
-"""What a row has in place of each chunk of a large array: the checksum of its file; zeros are none."""
 
 
 def absent(dtype: np.dtype[Any]) -> float:

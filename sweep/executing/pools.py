@@ -18,8 +18,8 @@ PoolName = Literal["processes", "threads", "serial"]
 
 MOST_WORKERS = 4096
 
+# Bytes that a worker needs for itself.
 MEMORY_AT_LEAST = 200 * 10**6
-"""Bytes that a worker needs for itself."""
 
 
 class Pool(NamedTuple):
@@ -46,8 +46,8 @@ POOLS: Mapping[PoolName, Pool] = {
 }
 DEFAULT_POOL: PoolName = "processes"
 
+# The workers of a scheduler, a cluster or a client, and local ones with a dashboard.
 DASK = Pool("Dask's workers", "linksweep.sweep.executing.clusters:dask_workers")
-"""The workers of a scheduler, a cluster or a client, and local ones with a dashboard."""
 
 
 @dataclass(frozen=True)

@@ -20,17 +20,17 @@ from linksweep.sweep.contract.rows import Array, Outcome, Reducer, Rows
 from linksweep.sweep.functions import results
 from linksweep.sweep.functions.statistics import Moments, drawn, quantile_of, statistic_problem
 
+# Arguments that the platform gives: a NumPy generator, and how many realisations are wanted at once.
 RNG, N_SIM = "rng", "n_sim"
-"""Arguments that the platform gives: a NumPy generator, and how many realisations are wanted at once."""
 
 KINDS: dict[Any, Kind] = {float: "float", int: "int", bool: "bool", str: "str", Any: "any"}
 NUMPY_KINDS: dict[type, Kind] = {np.bool_: "bool", np.integer: "int", np.floating: "float", np.str_: "str"}
 
+# The attribute of a function that holds its declaration.
 ATTRIBUTE = "__linksweep__"
-"""The attribute of a function that holds its declaration."""
 
+# Relative difference of two results of the same point that differ by rounding only.
 ROUNDING = 1e-12
-"""Relative difference of two results of the same point that differ by rounding only."""
 
 AnyFunction = TypeVar("AnyFunction", bound=Callable[..., Any])
 

@@ -19,11 +19,11 @@ from linksweep.sweep.contract.rows import LENGTH, REFERENCE, beyond_floats, chun
 
 Type = Literal["float", "int", "bool", "text", "datetime"]
 
+# How a row holds a value of each type.
 DTYPES: dict[Type, str] = {"float": "<f8", "int": "<i8", "bool": "?", "datetime": "<M8[ns]", "text": "O"}
-"""How a row holds a value of each type."""
 
+# Types that are joined: the results of all points are floats where one of them is.
 NUMBERS: frozenset[Type] = frozenset({"float", "int"})
-"""Types that are joined: the results of all points are floats where one of them is."""
 
 ALLOWED = "results are numbers (durations: seconds), strings, truth values, dates, arrays of these, or xarray objects"
 
@@ -335,6 +335,7 @@ def _typed(value: Any) -> tuple[Type, NDArray[Any]]:
     raise ResultError(f"is of type {array.dtype}; {ALLOWED}")
 
 
+# The classes of single values of each type.
 CLASSES: dict[Type, tuple[type, ...]] = {
     "bool": (bool, np.bool_),  # before integers: Python's truth values are some
     "int": (int, np.integer),
@@ -342,7 +343,6 @@ CLASSES: dict[Type, tuple[type, ...]] = {
     "text": (str,),
     "datetime": (datetime.date,),
 }
-"""The classes of single values of each type."""
 
 
 def _of_objects(array: NDArray[Any]) -> tuple[Type, NDArray[Any]]:
@@ -460,8 +460,8 @@ class Declared:
         return named
 
 
+# Types of results whose layout depends on nothing else.
 SCALARS = frozenset({float, np.float64, int, np.int64, bool, np.bool_, str})
-"""Types of results whose layout depends on nothing else."""
 
 
 def _is_plain(scalar: Any) -> bool:

@@ -19,38 +19,37 @@ from linksweep.sweep.contract import Array, Outcome, Output, ResultError, Rows, 
 from linksweep.sweep.contract.rows import FEWEST_SAMPLES, Reducer, enlarged_error
 from linksweep.sweep.functions.results import NUMBERS, Field, Layout, as_row, layout_differences
 
+# What a block keeps of each number of an output: mean, sums of 2nd to 4th powers about it, least and largest value.
 MOMENTS = 6
-"""What a block keeps of each number of an output: mean, sums of 2nd to 4th powers about it, least and largest value."""
 
+# The statistics besides quantiles, in words.
 WORDS = {
     **{"mean": "mean", "std": "standard deviation", "min": "least", "max": "largest"},
     **{"count": "number of true", "median": "median"},
 }
-"""The statistics besides quantiles, in words."""
 
+# The statistics of an output that declares none.
 DEFAULT = ("mean", "std")
-"""The statistics of an output that declares none."""
 
 QUANTILE = re.compile(r"q(\d{1,2}(?:\.\d+)?)")
 
+# Errors are made so that the truth is within this many of them as often as for a normal law.
 SIGMAS = 2.0
-"""Errors are made so that the truth is within this many of them as often as for a normal law."""
 
 TAIL = 0.5 * math.erfc(SIGMAS / math.sqrt(2.0))
 
+# The fewest realisations for which the error of a standard deviation is known.
 FEWEST_FOR_STD = 50
-"""The fewest realisations for which the error of a standard deviation is known."""
 
+# The fewest different values between the limits of a quantile for which its error is known.
 FEWEST_VALUES = 4
-"""The fewest different values between the limits of a quantile for which its error is known."""
 
+# Squared skewness, over the number of realisations, above which one realisation outweighs all others: it is (n - 2)^2/
+# (n^2 - n) where one differs from the others, which are alike.
 ONE_DECIDES = 0.7
-"""Squared skewness, over the number of realisations, above which one realisation outweighs all others: it is (n - 2)^2/
-(n^2 - n) where one differs from the others, which are alike.
-"""
 
+# Relative rounding error of a variance, generously.
 SAME = 1e-6
-"""Relative rounding error of a variance, generously."""
 
 
 def statistic_problem(name: object) -> str | None:

@@ -24,17 +24,17 @@ from linksweep.sweep.tables.columns import sorted_json
 # many are not: the study names each of these.
 SMALL, SPARSEST, MOST_LEFT_OUT = 1000, 10, 10_000
 
+# The key in the origin of a table of points that was made of several studies: others may add rows to it.
 UNITED = "united"
-"""The key in the origin of a table of points that was made of several studies: others may add rows to it."""
 
 EARLIER = "with the points of other runs"
 
 Row = tuple[Value, ...]
+# The values at each place along a dimension, by its axes.
 Rows = dict[tuple[str, ...], list[Row]]
-"""The values at each place along a dimension, by its axes."""
 
+# Of a study its grid, its constants, and the indices of its points with those that repeat them.
 Side = tuple[Grid, Mapping[str, Value], NDArray[np.intp]]
-"""Of a study its grid, its constants, and the indices of its points with those that repeat them."""
 
 
 def with_numbers_of(stored: Study, asked: Study) -> Study:
@@ -311,8 +311,8 @@ def _sections(stored: Study, asked: Study, conclusion: Conclusion | None) -> dic
     return {key: section for key, section in sections.items() if conclusion or key != "conclusion"}
 
 
+# The attribute of a store with the rounds that have refined its study, as JSON.
 REFINED = "refined"
-"""The attribute of a store with the rounds that have refined its study, as JSON."""
 
 
 @dataclass(frozen=True)

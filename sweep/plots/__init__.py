@@ -28,6 +28,7 @@ class GridFigure(NamedTuple):
     draw: Callable[[Any, list[str], Sequence[str]], Any]
 
 
+# Kinds of figures by the kind of result that they are drawn of; the first is the default, of a grid what suits it.
 KINDS: Mapping[str, Mapping[str, Kind]] = {
     "grid": {  # of type GridFigure, the others are functions of a dataset
         "lines": Kind("figure:LINES"),
@@ -58,6 +59,5 @@ KINDS: Mapping[str, Mapping[str, Kind]] = {
         "ranking": Kind("link:ranking_figure", "The sources whose observation helps most"),
     },
 }
-"""Kinds of figures by the kind of result that they are drawn of; the first is the default, of a grid what suits it."""
 
 ALL_KINDS = list(dict.fromkeys(kind for kinds in KINDS.values() for kind in kinds))

@@ -229,8 +229,8 @@ def _require_values(dataset: xr.Dataset, names: list[str]) -> None:
 
 # Panels
 
+# A function that draws a variable of a dataset into a panel.
 Draw = Callable[[Axes, xr.Dataset, str], None]
-"""A function that draws a variable of a dataset into a panel."""
 
 
 def panel_dimensions(dataset: xr.Dataset, variable: str, axis: str) -> tuple[list[str], str | None]:
@@ -335,8 +335,8 @@ def _panels(
 
 # Series
 
+# What has a colour of its own: its name, colour and marker, and the part of a dataset.
 Series = tuple[str, dict[str, Any], xr.Dataset]
-"""What has a colour of its own: its name, colour and marker, and the part of a dataset."""
 
 
 def series_of(dataset: xr.Dataset, variable: str, *along: str, numbers: dict[str, int] | None = None) -> list[Series]:

@@ -522,8 +522,8 @@ BANDS = 9
 # cut at LONGEST times that length.  Differences and residuals have one scale unless theirs differ by COMMON_SCALE.
 LONGEST, TYPICAL, COMMON_SCALE = 1.5, 0.08, 5.0
 
+# Places (deg), components towards east and north, and which are of sources that the clip dropped.
 Arrows = tuple[Array, Array, Array, Array, Any]
-"""Places (deg), components towards east and north, and which are of sources that the clip dropped."""
 
 
 def residual_figure(dataset: xr.Dataset) -> Figure:

@@ -43,8 +43,8 @@ STORED = (
 )
 
 
+# Of some variables the values of a point, and those when it is computed again.
 Pairs = dict[str, tuple[Any, Any]]
-"""Of some variables the values of a point, and those when it is computed again."""
 
 
 @dataclass(frozen=True)

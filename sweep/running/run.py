@@ -50,11 +50,11 @@ from linksweep.sweep.studies.study import CONVENTION, PART, Study
 from linksweep.sweep.tables.columns import Flags, content_digest, rows_where
 from linksweep.sweep.tables.reader import from_frame
 
+# What a condition calls points that were made by other code than today's.
 OLD = "old"
-"""What a condition calls points that were made by other code than today's."""
 
+# With which the reason begins why a point is not done that a run was to compute again.
 AGAIN = "is to be computed again where "
-"""With which the reason begins why a point is not done that a run was to compute again."""
 
 
 # Which code made the numbers of a store: its attribute `CODE` is a list of records, each with the ``first_row`` of the

@@ -36,29 +36,29 @@ from linksweep.sweep.tables.reader import read_table
 
 MAX_RADIUS = 1.0 * DEGREE
 
+# Largest number of chance pairs within a radius, half a minute of work: more are no search for counterparts.
 MAX_PAIRS = 2e6
-"""Largest number of chance pairs within a radius, half a minute of work: more are no search for counterparts."""
 
+# Source: Metz & Geffert 2004, Sect. 3.1.
 CLASSES = ("certain", "uncertain", "supplement")
-"""Source: Metz & Geffert 2004, Sect. 3.1."""
 
+# Chance pairs are counted in a ring between these multiples of the radius, where no true counterpart is left.
 RING = (5.0, 10.0)
-"""Chance pairs are counted in a ring between these multiples of the radius, where no true counterpart is left."""
 
 
 DEFAULTS = SearchOptions()
 DEFAULT_RADIUS_ARCSEC = 5.0
 
 MOTIONS = ("pmra", "pmdec", "pmra_error", "pmdec_error")
+# The columns of magnitudes, best first.
 MAGNITUDES = ("vt_mag", "phot_g_mean_mag")
-"""The columns of magnitudes, best first."""
 
 NUMBERS = ("ra", "dec", "ra_error", "dec_error", *MOTIONS, "ref_epoch", *MAGNITUDES)
 TYC = ("TYC1", "TYC2", "TYC3")
 QUANTITIES = (*NUMBERS, *TYC, "TYC", "PGC", "source_id", "name")
 
+# Largest values.  Source: Hog et al. 2000, the Tycho-2 catalogue (CDS I/259), notes on TYC1-3.
 TYC_LIMITS = {"TYC1": 9537, "TYC2": 12121, "TYC3": 3}
-"""Largest values.  Source: Hog et al. 2000, the Tycho-2 catalogue (CDS I/259), notes on TYC1-3."""
 
 # What stands for a missing identifier, as integers have no NaN.
 MISSING = {**dict.fromkeys((*TYC, "PGC"), 0), "source_id": np.iinfo(np.int64).min, "name": ""}
@@ -497,12 +497,13 @@ def _read_tyc(read: Columns) -> dict[str, Any]:
 
 # ---- what it gives
 
+# More entries of galaxy catalogues would fill the map: of a larger number a random share is drawn.
 MOST_ENTRIES = 30_000
-"""More entries of galaxy catalogues would fill the map: of a larger number a random share is drawn."""
 
+# Columns for the stars' measured proper motions, so named that a study does not take them for the galaxies' (zero).
 STAR_MOTIONS = {name: f"star_{name}" for name in MOTIONS}
-"""Columns for the stars' measured proper motions, so named that a study does not take them for the galaxies' (zero)."""
 
+# The columns of the ECSV beside those of the star table, their units and what they mean.
 MATCH_COLUMNS: Mapping[str, tuple[str | None, str]] = {
     "class": (None, "certain, uncertain or supplement"),
     "reason": (None, "why it is in doubt: crowded, offset, rival; or none"),
@@ -521,13 +522,12 @@ MATCH_COLUMNS: Mapping[str, tuple[str | None, str]] = {
     "star_table": (None, "catalogue of the star"),
     "star_row": (None, "row of the star, from 1"),
 }
-"""The columns of the ECSV beside those of the star table, their units and what they mean."""
 
+# The letters of the classes in the 46-byte table.
 LETTERS = dict(zip(CLASSES, "GUS", strict=True))
-"""The letters of the classes in the 46-byte table."""
 
+# The largest number that fits the 46-byte table.
 LARGEST_PGC = 99999
-"""The largest number that fits the 46-byte table."""
 
 PROBLEMS_NAMED = 10
 

@@ -24,25 +24,25 @@ FORMAT = 7
 
 ROOT, MANIFEST = "zarr.json", "blocks/zarr.json"
 
+# Attributes of a sealed document: its checksum, which store it is of, and which writing.
 SEAL, STORE, REVISION = "checksum", "store_id", "revision"
-"""Attributes of a sealed document: its checksum, which store it is of, and which writing."""
 
+# The attribute of the root document with the manifest of the ledger at the time of writing.
 LEDGER_THEN = "manifest"
-"""The attribute of the root document with the manifest of the ledger at the time of writing."""
 
+# The attribute of the root document with the names of the files of all chunks of the dataset, and their checksums.
 CHUNKS = "chunk_checksums"
-"""The attribute of the root document with the names of the files of all chunks of the dataset, and their checksums."""
 
 ANOTHER = "it is whole, but of another writing or another store"
 MISSING = "it is missing"
 
 DEEPEST = 32  # lists and objects inside each other in a document; what linksweep writes has less than half
 
+# The most bytes of a file of the ledger, unpacked.
 MOST_BYTES = 2**31
-"""The most bytes of a file of the ledger, unpacked."""
 
+# Types of the fields of a row of the ledger; the last two are text and references to chunks.
 TYPES = ("<f8", "<i8", "|b1", "<M8[ns]", "|O", REFERENCE.str)
-"""Types of the fields of a row of the ledger; the last two are text and references to chunks."""
 
 
 @contextmanager

@@ -37,8 +37,8 @@ if TYPE_CHECKING:
 
 CODECS = ({"name": "zstd", "configuration": {"level": 1}}, {"name": "crc32c"})
 
+# Two sets of names that chunks can have.
 CHUNK_NAMES = ({"name": "default", "separator": "."}, {"name": "v2", "separator": "."})
-"""Two sets of names that chunks can have."""
 
 FOLDER = MANIFEST.rpartition("/")[0]
 
@@ -188,29 +188,28 @@ def read_chunk(location: Location, reference: bytes) -> bytes:
         return integrity.whole(location.get(file), reference.hex())
 
 
+# Bytes from which on a part is finished: a compromise between few files for many blocks and what each flush writes
+# again.
 PART_BYTES = 2**22
-"""Bytes from which on a part is finished: a compromise between few files for many blocks and what each flush writes
-again.
-"""
 
+# Parts whose samples are kept in memory for those who read them more or less in order.
 RECENT = 4
-"""Parts whose samples are kept in memory for those who read them more or less in order."""
 
+# Bytes of rows and samples that may wait for the next flush, which all go into one part.
 MOST_UNWRITTEN = 2**24
-"""Bytes of rows and samples that may wait for the next flush, which all go into one part."""
 
+# The most failed points whose traceback is kept.
 MAX_TRACEBACKS = 1000
-"""The most failed points whose traceback is kept."""
 
 CHANGED = "its ledger was removed, or changed by others, during this run"
 
 REPAIR = "`sweep check STORE --repair` repairs what can be repaired"
 
+# The record of a failed point: kind, message, traceback, host, when.
 Record = dict[str, str]
-"""The record of a failed point: kind, message, traceback, host, when."""
 
+# Rows with their keys, and the samples of them all one after the other.
 Blocks = tuple[NDArray[Any], NDArray[Any]]
-"""Rows with their keys, and the samples of them all one after the other."""
 
 
 class DamagedError(SweepError):

@@ -28,33 +28,32 @@ from linksweep.sweep.contract import SweepError, needed
 if TYPE_CHECKING:
     from obstore.store import S3Store
 
+# Ends the name of the file that stands for the system's lock where there is none.
 TAKING = ".taking"
-"""Ends the name of the file that stands for the system's lock where there is none."""
 
+# Ends the name of a file that is being written.
 UNFINISHED = ".partial"
-"""Ends the name of a file that is being written."""
 
+# The folder where a run puts its store by default.
 RESULTS = Path("results")
-"""The folder where a run puts its store by default."""
 
+# Requests to a bucket under way at a time: an answer takes tens of milliseconds, whatever its size.
 AT_ONCE = 16
-"""Requests to a bucket under way at a time: an answer takes tens of milliseconds, whatever its size."""
 
+# How long a request to a bucket is tried again after dropped connections and errors of the server.
 TIMEOUT = timedelta(seconds=15)
-"""How long a request to a bucket is tried again after dropped connections and errors of the server."""
 
+# Settings with which a request was tried again for so long, until when no other is tried, and why: a run that stops
+# does not wait for each of its last requests.
 DOWN: dict[frozenset[tuple[str, str]], tuple[float, str]] = {}
-"""Settings with which a request was tried again for so long, until when no other is tried, and why: a run that stops
-does not wait for each of its last requests.
-"""
 
+# The process that has made requests: a fork of it has none of obstore's threads, and would wait for ever.
 USED_BY: set[int] = set()
-"""The process that has made requests: a fork of it has none of obstore's threads, and would wait for ever."""
 
 ADDRESS = re.compile(r"s3:/{1,2}(?P<bucket>[a-z0-9][a-z0-9.-]{1,61}[a-z0-9])/+(?P<prefix>[^/].*?)/*")
 
+# How often, and after which pause, a process tries to take a lock that others take at the same time.
 ATTEMPTS, PAUSE_S = 100, 0.02
-"""How often, and after which pause, a process tries to take a lock that others take at the same time."""
 
 
 @dataclass(frozen=True)
@@ -474,11 +473,11 @@ def _endpoint() -> str:
     return next(filter(None, map(os.environ.get, names)), "")
 
 
+# A place for the files of a store.  Both kinds have the same methods, which raise OSError where they fail.
 Location = Folder | Bucket
-"""A place for the files of a store.  Both kinds have the same methods, which raise OSError where they fail."""
 
+# What may name a place: an address as a user writes it, a path, or the place itself.
 Where = str | Path | Location
-"""What may name a place: an address as a user writes it, a path, or the place itself."""
 
 
 def located(where: Where) -> Location:

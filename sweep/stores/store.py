@@ -38,31 +38,30 @@ from linksweep.sweep.stores.location import RESULTS, Folder, Location, Where, ho
 if TYPE_CHECKING:
     import xarray as xr
 
+# The attribute with the format of a store.
 FORMAT_OF = "linksweep_format"
-"""The attribute with the format of a store."""
 
+# The attribute that tells how many blocks the ledger had when the dataset was written.
 BLOCKS = "blocks"
-"""The attribute that tells how many blocks the ledger had when the dataset was written."""
 
+# The attribute that tells which code made the rows of the ledger.
 CODE = "code"
-"""The attribute that tells which code made the rows of the ledger."""
 
+# The attribute of a store that tells who wrote it, as JSON.
 ORIGIN = "written_by"
-"""The attribute of a store that tells who wrote it, as JSON."""
 
+# The attribute of a store of results alone: of which store they are that was lost while a run wrote to it.
 RESCUED = "rescued_of"
-"""The attribute of a store of results alone: of which store they are that was lost while a run wrote to it."""
 
+# How often a reader begins anew because what it reads was replaced meanwhile.
 ATTEMPTS = 20
-"""How often a reader begins anew because what it reads was replaced meanwhile."""
 
+# The attribute of an array that says what is in place of a missing integer or time.
 FILL = "_FillValue"
-"""The attribute of an array that says what is in place of a missing integer or time."""
 
+# How the name of an array ends that has the values so far of a result, at points that are begun and not done; no name
+# of a result has brackets.
 RUNNING = "(running)"
-"""How the name of an array ends that has the values so far of a result, at points that are begun and not done; no name
-of a result has brackets.
-"""
 
 # What a file says of times, which it has as integers.
 TIMES = {"units": "nanoseconds since 1970-01-01", "calendar": "proleptic_gregorian", FILL: MISSING_INT}
@@ -70,8 +69,8 @@ TIMES = {"units": "nanoseconds since 1970-01-01", "calendar": "proleptic_gregori
 # What a file says that it has in place of a missing float, NaN, as xarray writes it for Zarr 3.
 MISSING_FLOAT = base64.b64encode(np.float64("nan").tobytes()).decode()
 
+# Words by which a document of a store can be recognised even if it is damaged.
 MARKS = (b"linksweep_format", b"study_meaning", b"study_digest")
-"""Words by which a document of a store can be recognised even if it is damaged."""
 
 UNFINISHED = (
     "is unfinished: its run has just begun, or ended before it wrote results; nothing is damaged, "

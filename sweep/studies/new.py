@@ -13,6 +13,7 @@ from linksweep.sweep.studies.study import Form, Sampling
 
 Schema = dict[str, Any]
 
+# The types of values that a study has for parameters of each kind.
 TYPES: dict[str, Any] = {
     "float": float,
     "int": int,
@@ -25,7 +26,6 @@ TYPES: dict[str, Any] = {
     "file": str,
     "files": dict[str, str],
 }
-"""The types of values that a study has for parameters of each kind."""
 
 
 def new_study(title: str, reference: str, experiment: Experiment) -> str:

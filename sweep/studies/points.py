@@ -45,31 +45,31 @@ from linksweep.sweep.tables import options
 from linksweep.sweep.tables.columns import content_digest, rows_listed, table_file
 from linksweep.sweep.tables.reader import BRACKETS, read_table
 
+# The most values of an axis, and the most rows of a table of points.
 MAX_VALUES = 1_000_000
-"""The most values of an axis, and the most rows of a table of points."""
 
+# Relative difference of numbers that are meant to be the same.
 NEAR = 1e-12
-"""Relative difference of numbers that are meant to be the same."""
 
+# Values of each parameter in a Morris design; an even number.
 MORRIS_LEVELS = 4
-"""Values of each parameter in a Morris design; an even number."""
 
+# Characters of what Python prints for an object that can be its label.
 LONGEST_LABEL = 100
-"""Characters of what Python prints for an object that can be its label."""
 
+# Types of values that a parameter of any kind has as they are; all others are objects with a label.
 PLAIN_TYPES = (bool, int, float, str, type(None), Named)
-"""Types of values that a parameter of any kind has as they are; all others are objects with a label."""
 
+# Kinds of arrays whose ``tolist`` returns Python's own numbers and texts.
 PLAIN = frozenset("biufU")
-"""Kinds of arrays whose ``tolist`` returns Python's own numbers and texts."""
 
 NO_MARKS: Mapping[int, Any] = {}
 
+# After this many problems of one study, or reasons why its points cannot be computed, no more are looked for.
 MAX_PROBLEMS = 20
-"""After this many problems of one study, or reasons why its points cannot be computed, no more are looked for."""
 
+# Keys and indices that lead to a value of the document.
 KeyPath = tuple[str | int, ...]
-"""Keys and indices that lead to a value of the document."""
 
 Cells = dict[str, list[Any]]
 

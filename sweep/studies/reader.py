@@ -39,11 +39,11 @@ from linksweep.sweep.studies.study import DEFAULT_EXPERIMENT, Condition, Context
 
 MAX_FILE_BYTES = 1_000_000
 
+# The most parts of a dotted key: the parser's time grows with their square, to minutes for a long line of them.
 DEEPEST = 100
-"""The most parts of a dotted key: the parser's time grows with their square, to minutes for a long line of them."""
 
+# ``file.py:NAME`` and ``module:NAME``.
 REFERENCE = re.compile(r"(?P<place>[^:\n]+\.py|[A-Za-z_][\w.]*):[A-Za-z_]\w*")
-"""``file.py:NAME`` and ``module:NAME``."""
 
 
 def reference_in(name_or_path: str) -> str | None:
@@ -259,20 +259,20 @@ def parse_places(texts: Sequence[str]) -> dict[str, str]:
     return places
 
 
+# The sampling of a deterministic experiment, which is evaluated once at each point.
 ONCE = Sampling(n_sim=1)
-"""The sampling of a deterministic experiment, which is evaluated once at each point."""
 
+# Names that can be written on the command line wherever it takes a value of an axis.
 GOOD_NAME = re.compile(r"[A-Za-z_][\w.+-]{0,59}", re.ASCII)
-"""Names that can be written on the command line wherever it takes a value of an axis."""
 
+# The sections that a store has as they are written.
 SECTIONS = ("title", "question", "define", "when", "published", "claim", "conclusion", "figure")
-"""The sections that a store has as they are written."""
 
+# The sections that are read last: they are about the axes and the experiment.
 STATEMENTS = ("sampling", "grid", "exclude", "claim", "conclusion", "figure")
-"""The sections that are read last: they are about the axes and the experiment."""
 
+# Characters of the beginning of a docstring that is a title.
 LONGEST_TITLE = 120
-"""Characters of the beginning of a docstring that is a title."""
 
 Mentioned = Callable[..., Any] | Experiment
 

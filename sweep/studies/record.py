@@ -20,19 +20,19 @@ from linksweep.sweep.studies.reader import study_of_attributes
 from linksweep.sweep.studies.study import CONVENTION, PART, POINT_TABLE, Study
 from linksweep.sweep.tables.columns import sorted_json
 
+# The attribute of a store that holds the record, as JSON.
 RECORD = "experiment_record"
-"""The attribute of a store that holds the record, as JSON."""
 
 PACKAGES = ("linksweep", "numpy", "scipy", "dask", "distributed", "xarray", "zarr")
 
+# Attributes: what an experiment calls draws that realisations share, and what it asks to cite, as JSON.
 OUTER_DRAW, CITATION = "outer_draw", "citation"
-"""Attributes: what an experiment calls draws that realisations share, and what it asks to cite, as JSON."""
 
+# The attribute of results of a plain function: its name.
 FUNCTION = "function"
-"""The attribute of results of a plain function: its name."""
 
+# The axes on which the cost of a point depends, and the cost by their values.
 Costs = tuple[tuple[str, ...], Mapping[tuple[Any, ...], float]]
-"""The axes on which the cost of a point depends, and the cost by their values."""
 
 _SAME = ("name", "version", "sums", "coordinates", "component_units", "shared", "nan_sums")
 

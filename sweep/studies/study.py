@@ -19,15 +19,14 @@ from linksweep.sweep.contract import HUGE, Experiment, Named, Parameter, Value, 
 from linksweep.sweep.formatting import ESCAPED, first_of, plain
 from linksweep.sweep.tables.columns import content_digest
 
+# The experiment of a study that names none; any store may name it, as it comes with linksweep.
 DEFAULT_EXPERIMENT = "linksweep.core.experiment:link"
-"""The experiment of a study that names none; any store may name it, as it comes with linksweep."""
 
+# `Sampling.max_n_sim` where a study says nothing: enough for an error of 0.04 % of an RMS.
 MOST_SIMS = 1_000_000
-"""`Sampling.max_n_sim` where a study says nothing: enough for an error of 0.04 % of an RMS."""
 
+# What may follow a name in a sentence: nothing for the number, ``:error`` for its error beside it, ``:%`` for percent.
 FORMATS = ("", "error", "%")
-"""What may follow a name in a sentence: nothing for the number, ``:error`` for its error beside it, ``:%`` for percent.
-"""
 
 
 @dataclass(frozen=True)
@@ -281,11 +280,11 @@ Seed = Annotated[int, Field(ge=0, lt=2**64)]
 Count = Annotated[int, Field(ge=1, le=10**9)]
 Tolerance = Annotated[float, Field(gt=0.0, lt=1.0)]
 Several = Annotated[list[Any], Field(min_length=1)]
+# A sentence for people, in one line.
 Text = Annotated[str, AfterValidator(_plain)]
-"""A sentence for people, in one line."""
 
+# Values of axes, which are a place of the grid.
 Places = Annotated[dict[str, Any], _each(_place)]
-"""Values of axes, which are a place of the grid."""
 
 
 class Section(BaseModel):
@@ -728,11 +727,11 @@ class Published:
         return hashlib.sha256(str(self.rows).encode()).hexdigest()
 
 
+# The dimension of the points of a table or a design, which are in no order.
 POINT = "point"
-"""The dimension of the points of a table or a design, which are in no order."""
 
+# The attribute of results that have this dimension: JSON of the table's parameters, and where it comes from.
 POINT_TABLE = "point_table"
-"""The attribute of results that have this dimension: JSON of the table's parameters, and where it comes from."""
 
 
 @dataclass(frozen=True)
