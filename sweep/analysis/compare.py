@@ -11,7 +11,7 @@ import json
 import math
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 import numpy as np
@@ -368,14 +368,6 @@ def table(comparisons: Sequence[Comparison]) -> Table:
         values, cells = zip(*(one[name] for one in numbers), strict=True)
         columns.append(Column(name, values, cells, rank=rank))
     return Table([*columns, Column("source", [c.source for c in readable])])
-
-
-def records(comparisons: Sequence[Comparison]) -> Table:
-    """Return one row per comparison with all numbers, for programs; a missing number is an empty cell."""
-    names = [field.name for field in fields(Comparison)]
-    columns = {name: [getattr(c, name) for c in comparisons] for name in names}
-    columns["where"] = list(map(quantity.place_in_words, columns["where"]))
-    return Table([Column(name, values) for name, values in columns.items()])
 
 
 def as_json(comparisons: Sequence[Comparison], remarks: Sequence[str] = ()) -> str:

@@ -6,7 +6,6 @@ Each command calls one function of the library, imported when it is needed; a sh
 key, so that nothing heavy is imported here.
 """
 
-import ast
 import atexit
 import codecs
 import errno
@@ -48,8 +47,6 @@ FILE = click.Path(path_type=Path)
 
 WORKERS = click.IntRange(1, MOST_WORKERS)
 POSITIVE = click.FloatRange(0.0, min_open=True)
-
-SAMPLING = ("n_sim", "n_cat", "seed", "precision", "max_n_sim", "keep_samples", "common_random_numbers")
 
 At = tuple[str, ...]
 
@@ -168,33 +165,6 @@ def _folders(_context: click.Context, _parameter: click.Parameter, incomplete: s
     return [CompletionItem(incomplete, type="dir")]
 
 
-def _keys(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
-    """Offer the axes of the study that was given before and what it fixes, or the parameters of the function, and where
-    they are no axes what all studies have.
-    """
-    import tomllib  # which `sweep --help` does without
-
-    # The study is not parsed yet where an option lacks its value, and is three words to bash if it names a function.
-    words = [*filter(None, [context.params.get("study")]), *context.args]
-    study = "".join(words[: 3 if words[1:2] == [":"] else 1])
-    document: dict[str, Any] = {}
-    with suppress(OSError, ValueError, RecursionError, SyntaxError):
-        # A shell has no place for an error.
-        file, is_function, name = study.rpartition(".py:")
-        path = built_in_studies().get(study, Path(f"{file}.py" if is_function else study))
-        if path.stat().st_size < 100_000:
-            # A shell waits for this at each press of a key.
-            text = path.read_text(encoding="utf-8")
-            body = ast.parse(text).body if is_function else []
-            made = [one for one in body if isinstance(one, ast.FunctionDef) and one.name == name]
-            named = {one.arg: 0 for f in made for one in (*f.args.args, *f.args.kwonlyargs)}
-            document = {"axes": named} if is_function else tomllib.loads(text)
-    tables = [table for key in ("axes", "fixed") if isinstance(table := document.get(key), dict)]
-    always = () if "--axis" in parameter.opts else SAMPLING
-    keys = [f"{key}=" for table in (*tables, always) for key in table if key != "rng"]
-    return [CompletionItem(key) for key in keys if key.startswith(incomplete)]
-
-
 STORE = arg(callback=_named, shell_complete=_folders)
 STORES = arg(nargs=-1, metavar="STORE...", callback=_named, shell_complete=_folders)
 STUDY = arg(shell_complete=_studies)
@@ -203,18 +173,9 @@ JSON = flag("Print JSON for a script.", "--json")
 BREAK_LOCK = flag("Continue although another host seems to write to the store; make sure that it does not.")
 ACCEPT_CODE = flag("Continue with points that other code made; each records which code made it.")
 TRUST = flag("Allow code that is inside a store, or that a store from elsewhere names.")
-AXES = many(
-    "Override or add an axis: 14:20:0.5, 0:1:lin5, 1:9:log3.", "--axis", shell_complete=_keys, metavar="NAME=SPEC"
-)
-SETTINGS = many("Set a parameter or key of sampling: n_sim=500.", "--set", metavar="KEY=VALUE", shell_complete=_keys)
+AXES = many("Override or add an axis: 14:20:0.5, 0:1:lin5, 1:9:log3.", "--axis", metavar="NAME=SPEC")
+SETTINGS = many("Set a parameter or key of sampling: n_sim=500.", "--set", metavar="KEY=VALUE")
 DESIGNS = "e.g. sobol:256 or sobol:256:SEED; latin-hypercube, halton, random, saltelli, morris."
-
-
-def json_or(table_format: str, as_json: bool) -> str:
-    """Return the format of a table that two options name together; raises click.UsageError if they name two."""
-    if as_json and table_format != "text":
-        raise click.UsageError(f"--json and --format {table_format} are two formats; name one")
-    return "json" if as_json else table_format
 
 
 @parsed

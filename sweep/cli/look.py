@@ -13,7 +13,7 @@ import click
 
 import linksweep
 from linksweep.sweep import cli, studies as known
-from linksweep.sweep.cli import AT, JSON, STORE, At, arg, choice, flag, json_or, many, opt, parsed, part_of
+from linksweep.sweep.cli import AT, JSON, STORE, At, arg, choice, flag, many, opt, parsed, part_of
 from linksweep.sweep.cli.run import Running, Watching, resources, run_with_progress
 from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.formatting import counted, harmless, to_json
@@ -98,7 +98,9 @@ def show(
     sweep show quasars --at model=gaia
     sweep show results/quasars.zarr --format ecsv > quasars.ecsv
     """
-    table_format = json_or(table_format, as_json)
+    if as_json and table_format != "text":
+        raise click.UsageError(f"--json and --format {table_format} are two formats; name one")
+    table_format = "json" if as_json else table_format
     link = cli.link_in(store, at)
     if stars or minus is not None:
         from linksweep.sweep.tie.result import difference, of_difference, of_stars
@@ -384,7 +386,6 @@ def sensitivity(
 @cli.command("Compare", "Compare with published numbers and claims")
 def compare(
     asked: AskedStores = cli.group(AskedStores),
-    table_format: str = choice("", ("text", "csv"), "--format", default="text"),
     as_json: bool = JSON,
 ) -> None:
     """Compare the results in STORE with the published numbers and claims of its study.
@@ -395,7 +396,6 @@ def compare(
     sweep compare results/quasars.zarr
     sweep compare --all --workers 4
     """
-    table_format = json_or(table_format, as_json)
     from linksweep.sweep.analysis import compare as verdicts
 
     comparisons, remarks = [], []
@@ -409,12 +409,8 @@ def compare(
                 about = [f"the study was changed on the command line: {overrides}", *about]
         comparisons += some
         remarks += [f"{store}: {sentence}" for sentence in about]
-    if table_format == "json":
+    if as_json:
         cli.put(verdicts.as_json(comparisons, remarks))
-    elif table_format == "csv":
-        cli.put(verdicts.records(comparisons).csv().rstrip("\n"))
-        for sentence in remarks:
-            click.echo(sentence, err=True)
     else:
         below = [*verdicts.notes(comparisons), *remarks, verdicts.summary_line(comparisons)]
         cli.print_tables(verdicts.tables(comparisons), ["", *below])

@@ -14,7 +14,6 @@ import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, redirect_stdout
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
@@ -155,12 +154,9 @@ def _logged(watching: Watching) -> Iterator[None]:
             RECORD.info("%s", shlex.join(COMMAND))
         try:
             yield
-        except linksweep.SweepError as error:
+        except Exception as error:
             # The command prints it; the log file has to have it, too.
-            RECORD.error("%s: %s", error.where, "; ".join(error.problems))
-            raise
-        except Exception:
-            RECORD.exception("unexpected")
+            RECORD.error("%s: %s", type(error).__name__, error)
             raise
 
 
@@ -284,7 +280,6 @@ def refine(
         variable=opt("With --until: what to interpolate.  [default: the main result]"),
         most=opt("The most in all.  [default: see docs/refine.md]", "--max-realisations", type=click.IntRange(1)),
     ),
-    plan_only: bool = flag("Say which round is next, and compute and write nothing.", "--plan"),
     how: Running = cli.group(Running),
 ) -> None:
     """Run STUDY, then add the points and realisations that matter next, round by round, into the same store.
@@ -299,18 +294,15 @@ def refine(
     """
     from linksweep.sweep.analysis import laws, refine as rounds
     from linksweep.sweep.result import Result
-    from linksweep.sweep.running.run import stored_results
 
     (study, store), mute = asked.load(), replace(how, as_json=None)
 
     def run(now: "linksweep.Study") -> Any:
-        return (stored_results(now, store) if plan_only else run_with_progress(now, store, mute)[0]).to_xarray()
+        return run_with_progress(now, store, mute)[0].to_xarray()
 
     for state in rounds.refinements(study, store, goal, run):
         if state.upcoming is not None and not how.watching.quiet:
             click.echo(f"round {len(state.rounds) + 1}: {state.upcoming}", err=True)
-        if plan_only:
-            break
     is_whole = not (failures := json.loads(state.dataset.attrs["failures"]))
     crossings = Result(laws.find(state.dataset, goal["find"], state.along)) if goal["find"] and is_whole else None
     if how.as_json:
@@ -616,14 +608,6 @@ def submit(
     from linksweep.sweep.running.merge import require_free
     from linksweep.sweep.stores.location import Folder, file_named
 
-    for before, word in pairwise(("", *more)):
-        is_value = before.startswith("-") and "=" not in before
-        if not (word.startswith("-") or is_value) or word.startswith("--wrap"):
-            raise linksweep.SweepError(f"--sbatch {word!r}: must be an option like --time=2:00:00, but not --wrap")
-    for array in re.findall(r"(?m)^(?:--array[=\n]|-a[=\n]?)(.*)", "\n".join(more)):
-        ends = re.split("[-,]", re.sub(":[0-9]+|%[0-9]+$", "", array))
-        if not all(end.isdecimal() and 1 <= int(end) <= tasks for end in ends):
-            raise linksweep.SweepError(f"--sbatch --array={array}: the parts are 1 to {tasks}; others would be lost")
     study, store = asked.load()
     make_grid(study)  # its mistakes are named here, not in a hundred logs
     require_free(store, study, [{"study_digest": study.digest(), "parts": tasks}])

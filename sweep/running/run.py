@@ -828,16 +828,6 @@ def plan_study(study: Study, store: Where, accept_code: bool = False) -> tuple[P
     return session.asked().plan, session.survey
 
 
-def stored_results(study: Study, store: Where) -> Labelled:
-    """Return the results of a study as `run_study` does, from its store alone, computing and writing nothing; raises
-    SweepError where points are still to be computed, and as `Session.open`.
-    """
-    session = Session.open(make_grid(study), store)
-    if points := session.survey.pending.points:
-        raise SweepError(f"{counted(points, 'point')} to compute first: run the study", str(store))
-    return session.part()[0]
-
-
 def plan_report(study: Study, store: Where, workers: int | None = None, accept_code: bool = False) -> dict[str, Any]:
     """Return what a run would do; the time is the least that computing takes with so many ``workers`` (one per core by
     default), from a short timing of random numbers on this machine.

@@ -185,8 +185,6 @@ COMMANDS = [
     ("run mine.py:f --axis x=1:5", "--axis 'x=1:5': '1:5': a range is START:STOP:STEP, or START:STOP:log5; texts"),
     ("run study.toml --workers 0", "Invalid value for '--workers': 0 is not in the range 1<=x<=4096"),
     ("run study.toml --pool serial --workers 2", "workers = 2: pool serial has none"),
-    *((f"submit study.toml --slurm 3 --sbatch={a}", f"--sbatch {a!r}: must be") for a in ("time=1:00", "--wrap=true")),
-    *((f"submit study.toml --slurm 3 --sbatch={a}", "the parts are 1 to 3") for a in ("--array=0-2", "-a1-7", "-a")),
     ("run study.toml --retry --fresh", "retry and fresh do not go together"),
     ("run study.toml --retry --set seed=8", "--retry computes points of a store as it is"),
     ("run study.toml --retry", "is a file, not a Zarr store"),
