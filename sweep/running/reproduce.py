@@ -26,24 +26,6 @@ from linksweep.sweep.studies.reader import study_of_attributes
 from linksweep.sweep.studies.record import Recorded, as_recorded
 from linksweep.sweep.studies.study import DEFAULT_EXPERIMENT, Study, is_other
 
-# Points that differ and are computed twice more, each time in a process of their own, to find the cause.
-MOST_EXPLAINED = 3
-
-RANDOM = (
-    "another result each time it is computed: it draws random numbers that are not those of its argument rng, or reads "
-    "a clock or something that changes"
-)
-STATE = (
-    "a result that depends on the points computed before it in the same process: the function keeps state between "
-    "calls, for instance in a global variable, a mutable default or a cache"
-)
-STORED = (
-    "always the same result now, but another one than in the store: state of the process that computed it, or what the "
-    "function reads has changed since"
-)
-
-
-# Of some variables the values of a point, and those when it is computed again.
 Pairs = dict[str, tuple[Any, Any]]
 
 
@@ -157,13 +139,8 @@ def verify(study: Study, where: Where, number: int) -> Verified:
         stored = _at(dataset, grid, point)
         if all(are_alike(stored, other) for other in seen):
             continue
-        cause = "other results than in the store"
-        if len(differing) < MOST_EXPLAINED:
-            first, second = computed([point])[0], computed([point])[0]
-            cause = STORED if all(are_alike(first, other) for other in seen) else STATE
-            cause = cause if are_alike(first, second) else RANDOM
         failed = next((f"; computed again it fails: {one}" for one in seen if isinstance(one, str)), "")
-        differing.append(f"{describe(study, point.parameters)} has {cause}{failed}")
+        differing.append(f"{describe(study, point.parameters)} has other results than in the store{failed}")
     return Verified(len(chosen), differing, differences_of_code(records_of(opened.attributes), study))
 
 

@@ -33,7 +33,7 @@ from linksweep.sweep.planning.union import REFINED, UNITED, united, with_numbers
 from linksweep.sweep.running.progress import FIRST, SILENT, FailureCount, MaxFailures, Progress, Taken
 from linksweep.sweep.running.results import Labelled, add_covariances, assemble, assemble_samples, code_variable, masked
 from linksweep.sweep.stores.ledger import Record
-from linksweep.sweep.stores.location import Where, holder, locked, writing
+from linksweep.sweep.stores.location import Where, locked, writing
 from linksweep.sweep.stores.store import BLOCKS, CODE, OpenStore, Store, create_store, replace_store, seen, store_at
 from linksweep.sweep.studies.reader import problems_of_results
 from linksweep.sweep.studies.record import (
@@ -891,18 +891,8 @@ def run_study(
     for sentence in grid.warnings:
         progress.say(f"warning: {sentence}")
     with watched() as interruptions, ExitStack() as stack:
-        try:
-            stack.enter_context(locked(store, break_lock=break_lock))
-        except SweepError:  # a store that cannot be locked can still be read
-            if beside != ALL:
-                raise
-            session = None
-            with suppress(SweepError) if holder(store) else nullcontext():  # who writes it has perhaps just begun
-                session = Session.open(grid, store, accept_code=accept_code)
-            if session is None or not session.is_left_alone:
-                raise
-        else:
-            session = Session.open(grid, store, writes=True, accept_code=accept_code, beside=beside)
+        stack.enter_context(locked(store, break_lock=break_lock))
+        session = Session.open(grid, store, writes=True, accept_code=accept_code, beside=beside)
         if session.is_left_alone:
             progress.say(f"{store} has all that this study asks for; it is left as it is, and these are its points")
             return session.part()

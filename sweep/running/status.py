@@ -150,9 +150,7 @@ def status_report(store: Where) -> dict[str, Any]:
         **note,
         "complete": complete,
         "state": state,
-        "why": why,
         "running": why if state == "running" else None,
-        "last_written": attributes.get("finished"),
         "points": {code.word: n for code, n in count_status(status).items()},
         "blocks": len(ledger.rows),
         **({} if study.experiment.deterministic else random),
@@ -179,21 +177,16 @@ def _state_of(runs: object, status: NDArray[np.int8], is_written: bool) -> tuple
 
 def _of_parts(store: Location, parts: Sequence[Part]) -> dict[str, Any]:
     """Return how far the parts of a store are, by how many there are, and which are lost: not there, or neither
-    finished nor running.  A part of another study than the first one is named as such: they cannot be merged.
+    finished nor running.
     """
     report: dict[str, Any] = {"title": f"{store} is not merged yet; its parts:", "parts": {}}
     for total, some in groupby(parts, key=lambda part: part.total):
-        states: dict[str, list[int]] = {"complete": [], "failed": [], "running": [], "of another study": []}
-        digests: list[str] = []
+        states: dict[str, list[int]] = {"complete": [], "failed": [], "running": []}
         for part in some:
             if (opened := store_at(part.place(store))) is None:
                 continue  # it was killed as it began
-            attributes = opened.attributes
-            digests.append(attributes["study_digest"])
-            ended = "complete" if attributes.get("failures", "{}") == "{}" else "failed"
-            if digests[-1] != digests[0]:
-                states["of another study"].append(part.number)
-            elif (runs := holder(part.place(store))) or attributes["complete"]:
+            ended = "complete" if opened.attributes.get("failures", "{}") == "{}" else "failed"
+            if (runs := holder(part.place(store))) or opened.attributes["complete"]:
                 states["running" if runs else ended].append(part.number)
         states["lost"] = sorted({*range(1, total + 1)}.difference(*states.values()))
         report["parts"][total] = {state: in_ranges(numbers) for state, numbers in states.items() if numbers}

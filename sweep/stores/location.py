@@ -196,17 +196,6 @@ class Folder:
             return not self.path.is_symlink()
         return self.path.is_dir() and all(p.name.endswith(UNFINISHED) and p.is_file() for p in self.path.iterdir())
 
-    def obstacle(self) -> str | None:
-        """Say what keeps a store from being made here: a file or link in the way, a folder that cannot be written."""
-        if self.path.exists():
-            return None if self.path.is_dir() else "is a file, not a Zarr store"
-        if self.path.is_symlink():
-            return f"is a link to {os.readlink(self.path)}, which is not there"
-        parent = next(p for p in self.path.parents if p.exists())
-        if parent.is_dir() and os.access(parent, os.W_OK | os.X_OK):
-            return None
-        return f"cannot make a store there: {parent} is not a directory that can be written"
-
     @contextmanager
     def tidied(self) -> Iterator[None]:
         """Remove folders that were not there before and are empty now."""
@@ -409,10 +398,6 @@ class Bucket:
         with self._request():
             return not any(page for page in self.objects.list(chunk_size=1))
 
-    def obstacle(self) -> str | None:
-        """Return None: nothing can be told without an attempt to write."""
-        return None
-
     def tidied(self) -> AbstractContextManager[None]:
         """Do nothing, since a bucket has no folders."""
         return nullcontext()
@@ -585,8 +570,6 @@ def locked(where: Where, *, break_lock: bool = False) -> Iterator[None]:
     mine = Holder(*_this_host(), os.getpid(), _start_of(os.getpid()), since, uuid4().hex)
     with location.parent.tidied():
         with reading(location, "cannot be written"):
-            if obstacle := location.obstacle():
-                raise SweepError(obstacle, str(location))
             _take(location, mine, break_lock)
         try:
             yield

@@ -331,8 +331,6 @@ def store_at(where: Where) -> OpenStore | None:
     location = located(where)
     root = find_root(location)
     if root is None:
-        if obstacle := location.obstacle():
-            raise SweepError(obstacle, str(location))
         return None
     if RESCUED in root["attributes"]:
         raise SweepError("holds results of a store that was lost; give another one with -o", str(location))
@@ -402,8 +400,6 @@ def find_root(location: Location) -> dict[str, Any] | None:
         if content is None:
             if location.is_free():
                 return None
-            if obstacle := location.obstacle():
-                raise SweepError(obstacle, where)
             content = location.get(ROOT)  # a run has perhaps just put it there
         try:
             root = integrity.unsealed(content, ROOT)

@@ -431,12 +431,11 @@ def read_range(parameter: Parameter, spec: object) -> Range:
 class Design(NamedTuple):
     """Points in the unit cube that sample many parameters at once.
 
-    How to ``draw`` it from n and the number of parameters; whether it is even only for powers of two; and how many
-    points each of n has ``beside`` one for each parameter, None if it is a single point.
+    How to ``draw`` it from n and the number of parameters; and how many points each of n has ``beside`` one for each
+    parameter, None if it is a single point.
     """
 
     draw: Callable[[int, int, np.random.Generator], Any]
-    powers_of_two: bool = False
     beside: int | None = None
 
     def size(self, n: int, dimensions: int) -> int:
@@ -455,11 +454,11 @@ def _salib(name: str, n: int, dimensions: int, rng: np.random.Generator, **optio
 
 
 DESIGNS: Mapping[str, Design] = {
-    "sobol": Design(partial(_scipy, "Sobol"), powers_of_two=True),
+    "sobol": Design(partial(_scipy, "Sobol")),
     "latin-hypercube": Design(partial(_scipy, "LatinHypercube")),
     "halton": Design(partial(_scipy, "Halton")),
     "random": Design(lambda n, dimensions, rng: rng.random((n, dimensions))),
-    "saltelli": Design(partial(_salib, "sobol", calc_second_order=False), powers_of_two=True, beside=2),
+    "saltelli": Design(partial(_salib, "sobol", calc_second_order=False), beside=2),
     "morris": Design(partial(_salib, "morris", num_levels=MORRIS_LEVELS), beside=1),
 }
 
@@ -474,15 +473,6 @@ def unit_cube(dimensions: int) -> dict[str, Any]:
     """Return SALib's definition of a problem with this many parameters between 0 and 1."""
     names = [f"x{k}" for k in range(dimensions)]
     return {"num_vars": dimensions, "names": names, "bounds": [[0.0, 1.0]] * dimensions}
-
-
-def remarks(origin: Mapping[str, Any]) -> list[str]:
-    """Return the warnings of a run about a design."""
-    n, design = origin.get("n", 1), DESIGNS.get(origin.get("design", ""))
-    if design is None or not design.powers_of_two or n & (n - 1) == 0:
-        return []
-    below = 1 << (n.bit_length() - 1)
-    return [f"points.n = {n:,} is not a power of two, and Sobol points spread less evenly: {below:,} or {2 * below:,}?"]
 
 
 # The table [points]
@@ -720,7 +710,7 @@ def _designed(form: PointsForm, values: Values) -> tuple[Cells, dict[str, Any]]:
         return {}, {}
     if (size := DESIGNS[name].size(n, len(ranges))) > MAX_VALUES:
         raise ValueError(f"makes {size:,} points of n = {n:,}; at most {MAX_VALUES:,} are allowed")
-    with warnings.catch_warnings():  # `remarks` says it in our words
+    with warnings.catch_warnings():  # n need be no power of two: docs/points.md
         warnings.filterwarnings("ignore", message="The balance properties", category=UserWarning)
         unit = np.asarray(DESIGNS[name].draw(n, len(ranges), np.random.default_rng(form.seed)))
     columns = {one.name: one(unit[:, k]) for k, one in enumerate(ranges)}

@@ -175,7 +175,7 @@ def test_what_does_not_belong_together_is_refused_and_nothing_is_written(three, 
     refused([three[0], *other], "fixed.x: 0.5 in .*s.part-1-of-3, 0.75 in .*o.part-2-of-3")
     other = run_parts(model, tmp_path / "p", [2], 3, axes={"k": [1, 2]}, fixed=SMALL["fixed"])
     refused([*run_parts(model, tmp_path / "p", [1], 3, **SMALL), *other], "the points are others")
-    assert status_report(tmp_path / "p")["parts"][3] == {"complete": "1", "of another study": "2", "lost": "3"}
+    assert status_report(tmp_path / "p")["parts"][3] == {"complete": "1-2", "lost": "3"}
     refused([three[0], *run_parts(model, tmp_path / "s", [2], 4, **SMALL)], "is part 1/3, and .* is part 2/4")
     into("w", **SMALL)
     refused([tmp_path / "w", three[0]], "is no part of a study, and .* is part 1/3")

@@ -27,11 +27,11 @@ FRAGILE = (Path(__file__).parents[1] / "coins.py").read_text().replace("    bias
 HEAD = "import itertools, random, time\nimport numpy as np\ncalls = itertools.count()\nseen = {}\n"
 BESIDE = "def f(rng: np.random.Generator, x: float = 0.0):\n    return np.random.default_rng().normal()\n"
 DIFFERENT = {
-    "a counter": ("def f(x: float = 0.0):\n    return x + next(calls)\n", "keeps state"),
-    "a mutable default": ("def f(x: float = 0.0, k=[]):\n    k.append(x)\n    return float(len(k))\n", "keeps state"),
-    "a clock": ("def f(x: float = 0.0):\n    return x + time.time()\n", "draws random numbers"),
-    "beside rng": (BESIDE, "draws random numbers"),
-    "tiny": ("def f(x: float = 0.0):\n    return 1e-12 * os.getpid() * x\n", "draws random numbers"),
+    "a counter": "def f(x: float = 0.0):\n    return x + next(calls)\n",
+    "a mutable default": "def f(x: float = 0.0, k=[]):\n    k.append(x)\n    return float(len(k))\n",
+    "a clock": "def f(x: float = 0.0):\n    return x + time.time()\n",
+    "beside rng": BESIDE,
+    "tiny": "def f(x: float = 0.0):\n    return 1e-12 * os.getpid() * x\n",
 }
 ACCEPTED = "import linksweep, os\n@linksweep.experiment(deterministic=False, vectorised={})\n"
 SECRET = "hunter2"
@@ -82,13 +82,13 @@ def written(folder, text):
 
 @pytest.mark.parametrize("forked", [True, slow(False)])  # forks are quick, and see what this process has changed
 @pytest.mark.parametrize("kind", [kind if kind == "a counter" else slow(kind) for kind in DIFFERENT])
-def test_points_that_differ_are_named_with_the_likely_cause(kind, forked, tmp_path, sweep, monkeypatch):
+def test_points_that_differ_are_named(kind, forked, tmp_path, sweep, monkeypatch):
     monkeypatch.setattr(reproduce, "Children", lambda reference, **_: Children(reference, forked=forked))
-    text, cause = DIFFERENT[kind]
-    code, out, err = sweep("run", *written(tmp_path, text), "--verify", "2", cwd=tmp_path)
+    code, out, err = sweep("run", *written(tmp_path, DIFFERENT[kind]), "--verify", "2", cwd=tmp_path)
     differing = [line for line in err.splitlines() if line.startswith("differs: x=")]
     assert (code, "f" in out, "every bit" in err) == (1, True, False), err
-    assert [cause in line for line in differing] == [True] * max(len(differing), 1)
+    assert differing
+    assert all("has other results than in the store" in line for line in differing)
 
 
 @pytest.mark.parametrize("command", ["run", slow("reproduce")])

@@ -84,18 +84,6 @@ def test_all_failed_points_are_counted_and_a_terminal_says_why(sweep, tmp_path):
     assert len(OpenStore(tmp_path / "s.zarr").attributes["failures"]) < 12_000
 
 
-def test_a_smaller_study_is_answered_while_another_process_holds_the_lock(tmp_path, coins):
-    store = tmp_path / "s.zarr"
-    whole = linksweep.run(coins, store, pool="serial")
-    lock = {"host": "elsewhere", "boot": "", "pid": 1, "started": "", "since": "then", "command": "x", "token": "t"}
-    (tmp_path / "s.zarr.lock").write_text(json.dumps(lock))
-    part = linksweep.run(coins | {"axes": coins["axes"] | {"metal": ["tin"]}}, store, pool="serial")
-    assert part["share"].values.tolist() == whole["share"].sel(metal=["tin"]).values.tolist()
-    for asked, more in (({}, {"fresh": True}), ({"axes": coins["axes"] | {"coins": [1, 5, 20, 30]}}, {})):
-        with pytest.raises(linksweep.SweepError, match="--break-lock"):
-            linksweep.run(coins | asked, store, pool="serial", **more)
-
-
 def test_a_finished_run_writes_what_is_not_as_it_would_write_it_once(tmp_path, coins):
     whole = linksweep.run(coins, tmp_path / "s.zarr", pool="serial")
     store, coins = (tmp_path / "s.zarr").rename(tmp_path / "t.zarr"), coins | {"title": "Another"}

@@ -267,7 +267,7 @@ def test_a_store_that_can_only_be_read(disk, link_study, sweep, tmp_path):
     for command in (*runs, ("check", store, "--repair")):
         code, out, err = sweep(*command)
         assert (code, out, "Traceback" in err) == (2, "", False), command
-        assert "Read-only file system" in err or "is not a directory that can be written" in err
+        assert "Read-only file system" in err
     subprocess.run([*remount[:2], "remount,rw", disk], check=True)
     assert sweep("run", link_study, "-o", store)[0] == 0
 
