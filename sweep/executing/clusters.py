@@ -6,7 +6,6 @@ import asyncio
 import importlib
 import inspect
 import logging
-import math
 import multiprocessing
 import os
 import signal
@@ -341,13 +340,6 @@ class ClusterFile(BaseModel, extra="forbid"):
             raise ValueError(f"unknown key adapt.{min(unknown)}{suggest(min(unknown), ADAPT)}")
         if not adapt.keys() & {"maximum", "maximum_jobs"}:
             raise ValueError("adapt: must say a maximum; without one the cluster would grow with the work")
-        for unit in ("", "_jobs"):
-            least, most = adapt.get(f"minimum{unit}", 0), adapt.get(f"maximum{unit}", math.inf)
-            whole = type(least) is int and (type(most) is int or most == math.inf)
-            if not (whole and 0 <= least <= most and most >= 1):
-                raise ValueError(
-                    f"adapt: minimum{unit} = {least} must be at most maximum{unit} = {most}, and this >= 1"
-                )
         return written
 
 
@@ -669,14 +661,14 @@ class DaskDriver:
         return self._limits.memory or min(filter(None, limits), default=None)
 
     def _lost(self, one: _Submission, error: KilledWorker) -> Iterator[tuple[Any, Any]]:
-        """Try again what was with a worker that died: the work that is still wanted in a child process, and if that
-        takes its worker with it, each block in one of its own; yield the failure of one that does so again.
+        """Try again what was with a worker that died: the work in a child process, and if that takes its worker with
+        it, each block in one of its own; yield the failure of one that does so again.
         """
         losses = one.losses + 1
         if losses < MAX_LOSSES:
             self._say(f"a worker died; a child process of another one does its work again ({losses})")
-            jobs = [job.wanted() for job in ([one.job] if losses == 1 else one.job.alone())]
-            self._send([replace(one, job=job, losses=losses, succeeded=self._succeeded) for job in jobs if job])
+            jobs = [one.job] if losses == 1 else one.job.alone()
+            self._send([replace(one, job=job, losses=losses, succeeded=self._succeeded) for job in jobs])
         elif one.succeeded == self._succeeded:  # that is no proof against a block
             words = f"the workers of {self._where} die whatever they do; no point is blamed for it, {KEPT}"
             raise SweepError(words) from error

@@ -241,10 +241,6 @@ class Call:
         """Return the call: it has no parts."""
         return [self]
 
-    def wanted(self) -> "Call":
-        """Return the call."""
-        return self
-
     def failed(self, reason: "Failure") -> Any:
         """Raise SweepError: nothing goes on without the result of a call."""
         raise SweepError(f"{reason.message}, perhaps for lack of memory")
@@ -252,13 +248,10 @@ class Call:
 
 @dataclass(frozen=True)
 class Batch:
-    """A job: blocks of a study that go to a worker in one task.  ``is_missing`` says of a point, by its index, whether
-    it is still to be computed; ``keep`` is that of its task.
-    """
+    """A job: blocks of a study that go to a worker in one task; ``keep`` is that of its task."""
 
     study: Study
     works: list[Work]
-    is_missing: Callable[[int], bool] = lambda _: True
     keep: Keep = dict
 
     def __len__(self) -> int:
@@ -285,14 +278,6 @@ class Batch:
     def alone(self) -> "list[Batch]":
         """Return each block by itself."""
         return [replace(self, works=[work]) for work in self.works]
-
-    def wanted(self) -> "Batch":
-        """Return the work without the points that have failed meanwhile, which would cost as much again."""
-        works = []
-        for work in self.works:
-            if left := tuple(point for point in work.points if self.is_missing(point.index)):
-                works.append(work._replace(points=left, cost=work.cost * len(left) / len(work.points)))
-        return replace(self, works=works)
 
     def failed(self, reason: Failure) -> TaskResult:
         """Return the result of work that failed."""

@@ -517,14 +517,6 @@ def is_plain_function(value: object) -> TypeGuard[Callable[..., Any]]:
 
 def experiment_of(function: Callable[..., Any]) -> FunctionExperiment:
     """Return a plain function as an experiment; raises SweepError with every reason why it cannot be one."""
-    try:
-        return _made(function)
-    except TypeError:  # a function that cannot be hashed cannot be cached
-        return _made.__wrapped__(function)
-
-
-@functools.lru_cache(maxsize=64)  # a worker asks for it with each task
-def _made(function: Callable[..., Any]) -> FunctionExperiment:
     return _checked(function, declaration_of(function))
 
 

@@ -752,11 +752,11 @@ class Session:
         failing = FailureCount(self.study, total, total - pending.points, most=max_failures)
         writer = Writer(self.accumulator, self._begun(progress), postponed)
         writer.declared_files = files_read(self.study.experiment_reference)
-        study, is_missing, keep = self.study, self.accumulator.is_missing, writer.store.keep
+        study, keep = self.study, writer.store.keep
 
         def take(count: int) -> list[Batch]:
             tasks = writer.pending.take(count, failing.most_at_once)
-            return [Batch(study, works, is_missing, keep) for works in tasks]
+            return [Batch(study, works, keep) for works in tasks]
 
         with self._kept(writer):
             results = execute(take)

@@ -47,7 +47,6 @@ WRONG_FILES += [('class = "distributed.Client"\nscale = 1\n', "is no class of a 
 WRONG_FILES += [(LOCAL, "write either scale = WORKERS or adapt"), (LOCAL + "scale = 1\noptions = 3\n", "options = 3: ")]
 WRONG_FILES += [slow(LOCAL + "scale = { dwarfs = 7 }\n", "unexpected keyword argument 'dwarfs'")]
 WRONG_FILES += [(LOCAL + "adapt = { minimum = 1 }\n", "adapt: must say a maximum"), ("scale = = 1\n", "not valid TOML")]
-WRONG_FILES += [(LOCAL + "adapt = { minimum = 3, maximum = 2 }\n", "minimum = 3 must be at most maximum = 2")]
 WRONG_FILES += [(LOCAL + "adapt = { maximum = 2, pace = 3 }\n", "unknown key adapt.pace")]
 WRONG_FILES += [(f"{LOCAL}scale = 1\noptions.{one}", "options: ") for one in ("n_workers = -1", "asynchronous = true")]
 WRONG_FILES += [(LOCAL + "scale = 1\nscales = 1\n", "unknown key scales"), (LOCAL + "scale = true", "valid integer")]
