@@ -97,10 +97,6 @@ class NestedDraw:
     draw: Callable[[np.random.Generator], Catalogue]
     takes_several: bool = False
 
-    def __call__(self, rng: np.random.Generator) -> Catalogue:
-        """Draw it."""
-        return self.draw(rng)
-
 
 def isotropic(
     rng: np.random.Generator, n_obj: int, zone_of_avoidance: float = 0.0, contrast: float = 0.0

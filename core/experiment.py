@@ -14,7 +14,7 @@ from linksweep.core.catalogues import CATALOGUES, RANDOM_SKY, SIDES, File
 from linksweep.core.errors import ERROR_MODELS, ErrorModel, error_models
 from linksweep.core.frames import Array
 from linksweep.core.parameters import OUTPUTS, PARAMETERS, SAMPLE_OUTPUTS, SHARED, UNITS
-from linksweep.core.simulate import Streams, can_stack, simulate, simulate_stack
+from linksweep.core.simulate import Streams, can_stack, simulate
 from linksweep.core.unknowns import ALWAYS, GLIDE, GLIDE_LABELS, LABELS, ORIENTATION, SPIN, link_unknowns
 from linksweep.sweep.contract import Experiment, Point, SweepError, enlarged_error, small_sample_factor
 
@@ -273,7 +273,7 @@ def evaluate(
     """Return the sums of `SUMS` for one catalogue of each point and ``n_sim`` realisations of its errors, one row
     per point.
     """
-    return _rows(simulate([setup.scenario(point) for point in points], n_sim, rng, catalogue_rng))
+    return _rows(simulate([setup.scenario(point) for point in points], n_sim, [(rng, catalogue_rng)]))
 
 
 def evaluate_catalogues(points: Sequence[Point], n_sim: int, streams: Sequence[Streams]) -> dict[str, Array]:
@@ -286,9 +286,9 @@ def evaluate_catalogues(points: Sequence[Point], n_sim: int, streams: Sequence[S
     # how many depends on the point alone, so that a block is the same whatever the machine
     together = max(1, STACK // (setup.catalogue_kind(points[0]).size(points[0]) * n_sim))
     if len(physics) > 1 or together == 1 or not can_stack(physics[0], n_sim):
-        return _rows([_rows(simulate(physics, n_sim, *pair)) for pair in streams])
+        return _rows([_rows(simulate(physics, n_sim, [pair])) for pair in streams])
     parts = [streams[first : first + together] for first in range(0, len(streams), together)]
-    stacks = [simulate_stack(physics[0], n_sim, part) for part in parts]
+    stacks = [simulate(physics, n_sim, part, (len(part),))[0] for part in parts]
     return {name: np.concatenate([stack[name] for stack in stacks])[:, None] for name in SUMS}
 
 
@@ -296,7 +296,8 @@ def samples(
     points: Sequence[Point], n_sim: int, rng: np.random.Generator, catalogue_rng: np.random.Generator
 ) -> dict[str, Array]:
     """Return what `evaluate` returns and the estimates that it adds up, shape (points, n_sim, K)."""
-    rows = simulate([setup.scenario(point) for point in points], n_sim, rng, catalogue_rng, keep_estimates=True)
+    scenarios = [setup.scenario(point) for point in points]
+    rows = simulate(scenarios, n_sim, [(rng, catalogue_rng)], keep_estimates=True)
     return _rows([row | {"estimate": row["estimate"][:, ALWAYS]} for row in rows])
 
 

@@ -30,34 +30,6 @@ Streams = tuple[np.random.Generator, np.random.Generator]
 Sums = dict[str, Array]
 
 
-def simulate(
-    scenarios: Sequence[Scenario],
-    n_sim: int,
-    rng: np.random.Generator,
-    catalogue_rng: np.random.Generator,
-    keep_estimates: bool = False,
-) -> list[Sums]:
-    """Draw a catalogue for each scenario, link ``n_sim`` error realisations of it and add up what came out.
-
-    ``catalogue_rng`` decides the catalogue (step A) and the truth, ``rng`` the errors (steps C and D): all scenarios
-    start from the same state of the first, and share the normals from streams spawned from the second (see
-    `linksweep.core.setup`).  These are drawn once, and the sums of a scenario do not depend, to the last bit, on the
-    other scenarios.  Memory does not grow with ``n_sim``, except for estimates that are kept.  Raises LinkError where a
-    catalogue does not determine the link.
-    """
-    return _simulate(scenarios, n_sim, [(rng, catalogue_rng)], (), keep_estimates)
-
-
-def simulate_stack(scenario: Scenario, n_sim: int, streams: Sequence[Streams]) -> Sums:
-    """Return what `simulate` returns for a catalogue from each pair of generators ``streams``, to the last bit, from
-    operations on all of them at once.
-
-    Raises LinkError as `simulate`, and for catalogues that cannot be computed together (see `can_stack`); then the
-    generators cannot be used again.
-    """
-    return _simulate([scenario], n_sim, streams, (len(streams),), False)[0]
-
-
 def can_stack(scenario: Scenario, n_sim: int) -> bool:
     """Return whether catalogues of a scenario may be computed together.
 
@@ -74,10 +46,24 @@ def can_stack(scenario: Scenario, n_sim: int) -> bool:
     )
 
 
-def _simulate(
-    scenarios: Sequence[Scenario], n_sim: int, streams: Sequence[Streams], stack: Stack, keep_estimates: bool
+def simulate(
+    scenarios: Sequence[Scenario],
+    n_sim: int,
+    streams: Sequence[Streams],
+    stack: Stack = (),
+    keep_estimates: bool = False,
 ) -> list[Sums]:
-    """Return the sums of each scenario, for a catalogue from one pair of streams or a stack from several pairs."""
+    """Draw a catalogue for each scenario, link ``n_sim`` error realisations of it and add up what came out.
+
+    A pair of generators, ``streams``, decides the errors (steps C and D), the catalogue (step A) and the truth: all
+    scenarios start from the same state of the generator of the catalogue, and share the normals from streams spawned
+    from that of the errors (see `linksweep.core.setup`).  These are drawn once, and the sums of a scenario do not
+    depend, to the last bit, on the other scenarios.  With a ``stack``, (number of pairs,), one scenario has a catalogue
+    from each pair, from operations on all of them at once and with the bits of each alone; the generators cannot be
+    used again after an error.  Memory does not grow with ``n_sim``, except for estimates that are kept.  Raises
+    LinkError where a catalogue does not determine the link, or where several cannot be computed together (see
+    `can_stack`).
+    """
     drawn, prefixes = _draws(scenarios, [catalogue_rng for _, catalogue_rng in streams], stack), Prefixes()
     # the largest first: what is computed for it serves the catalogues that are its beginning
     order = sorted(range(len(drawn)), key=lambda k: -len(drawn[k][0]))
@@ -214,7 +200,7 @@ def _draws(
     if stack:  # directions are fixed
         (scenario,) = scenarios
         several: Any = Generators(catalogue_rngs)
-        drawn = scenario.draw_catalogue(cast(np.random.Generator, several))
+        drawn = scenario.draw_catalogue.draw(cast(np.random.Generator, several))
         whole = drawn.repeated(len(catalogue_rngs)) if drawn.ra.ndim == 1 else drawn
         return [(whole.flattened(), _truth(scenario, catalogue_rngs[0]))]
     (catalogue_rng,) = catalogue_rngs
@@ -223,7 +209,7 @@ def _draws(
     draws = [scenario.draw_catalogue for scenario in scenarios]
     for draw in sorted(draws, key=lambda draw: -draw.n_obj):
         if draw.family not in largest:
-            largest[draw.family] = _from_start(catalogue_rng, draw)
+            largest[draw.family] = _from_start(catalogue_rng, draw.draw)
     truths = [_from_start(directions, partial(_truth, scenario)) for scenario in scenarios]
     return [(largest[draw.family].take(slice(draw.n_obj)), truth) for draw, truth in zip(draws, truths, strict=True)]
 

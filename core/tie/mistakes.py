@@ -16,7 +16,6 @@ from scipy.special import chdtr, chdtrc, chdtri
 from linksweep.core.frames import MAS, Array, Flags, Indices, LinkError, Names, Texts
 from linksweep.core.tie.astrometry import HALF_SPAN, PAIRS, Astrometry, by_errors, kinds
 from linksweep.core.tie.problem import NormalSums, Problem, Solution, discrepancies, solve, source_sums
-from linksweep.core.unknowns import POSITION, Block, Objects, Unknowns
 
 # chi2 over its expectation above and below which it is said first, and above which a link is not given unasked. Radio
 # stars, many of which are binaries, have 7.
@@ -27,12 +26,6 @@ CHANCE = 1e-6
 
 # chi2 over its expectation above which corrections are tried, and at which no further ones are.
 GOOD = 3.0
-
-# How many corrections are tried together with every other one.
-TWICE = 3
-
-# Sessions that are examined one by one.
-MOST_SESSIONS = 12
 
 # Of more sources, or with larger normal equations, only some sources are examined.
 MOST_SOURCES, MOST_NUMBERS = 2000, 10_000_000
@@ -56,19 +49,10 @@ LARGEST = {"mas": 1000.0, "mas/yr": 12_000.0, "mas/yr2": 300.0, "mas/yr3": 300.0
 
 # Shifts of epochs (years) from which the best is looked for.
 STARTS = range(-200, 201, 20)
-# Steps of epochs (years) that are rounded.
-STEPS = (1.0, 0.5, 0.1, 0.01)
 
 # Epochs of positions with errors below 10 mas.
 EARLIEST, LATEST, WHEN_NONE = 1970.0, 2060.0, "when no position had errors below 10 mas"
 
-
-def _motions(objects: Objects) -> Array:
-    return np.stack([objects.pmra, objects.pmdec])[None]
-
-
-# A shift of the epochs of positions, in years.
-EPOCHS = Block("epochs", ("years",), POSITION, False, _motions)
 
 Rows = tuple[int, ...]
 # Errors below it are hardly right, mas or mas/yr.
@@ -83,7 +67,7 @@ NOT_POSITIONS: dict[str, Rows] = {"parallaxes": (2,), "proper motions": (3, 4), 
 # What may have errors in another unit.
 WITH_ERRORS: dict[str, Rows] = {**GROUPS, "all quantities": (0, 1, 2, 3, 4), "ra": (0,), "dec": (1,)}
 
-UNEXPLAINED = "no known mistake explains it: errors may be too small, or sources not single"
+UNEXPLAINED = "no known mistake explains it: errors may be too small, sources not single, or two mistakes made"
 
 # How much a correction hides that makes errors larger.
 HIDES_ALL = 2
@@ -214,26 +198,6 @@ def _by_kind(problem: Problem) -> list[_Part]:
     return _alike(problem, kinds(problem.rows), "the {} rows of {}")
 
 
-def _by_epoch(problem: Problem) -> list[_Part]:
-    """Return the rows of each session, if there are not too many."""
-    epochs = problem.rows.epoch
-    parts = _alike(problem, np.char.mod("%.2f", epochs), "the rows of {1} at {0}")
-    parts = [part for part in parts if np.all(np.isfinite(epochs[part.at]))]
-    return [part for part in parts if np.count_nonzero(part.at) > 2] if 1 < len(parts) <= MOST_SESSIONS else []
-
-
-def _of_sources(problem: Problem, sources: Indices) -> Iterator[_Part]:
-    """Yield some sources in each table, and their rows one by one."""
-    listed = _listed(problem, sources)
-    for part in _wholes(problem):
-        is_satellite = part.table == "satellite"
-        at = part.at & np.isin(np.arange(len(problem.satellite)) if is_satellite else problem.source, sources)
-        yield _Part(part.table, f"{listed} in {part.words}", at)
-        for row in () if is_satellite else np.flatnonzero(at)[:20]:
-            epoch = f" at {problem.rows.epoch[row]:.2f}" if np.isfinite(problem.rows.epoch[row]) else ""
-            yield _Part(part.table, f"the row of {listed}{epoch} in {part.words}", np.arange(len(at)) == row)
-
-
 def _excess(problem: Problem, ratio: float) -> str:
     """Return a clause about the likely cause."""
     causes = list(_causes(problem, _wholes(problem), ratio))
@@ -244,21 +208,14 @@ def _excess(problem: Problem, ratio: float) -> str:
     elif not any(cause.ratio < GOOD and not cause.hides for cause in causes):
         best = min((cause.ratio for cause in causes), default=EXCESS)
         worst, left = _outliers(problem, ratio)
-        exchanged = _exchanged(problem, problem)
-        causes += [Cause(words, after) for words, _, one in exchanged if explains(after := _ratio(one), ratio)]
+        causes += _exchanged(problem, ratio)
         if left < max(GOOD, best):
-            of_worst = np.isin(problem.source, worst)
             alone = f"without {_listed(problem, worst)} it is {left:.2g} times its expectation; "
-            causes += _causes(problem, _of_sources(problem, worst), ratio)
-            # corrected, these sources are to fit as the others do
-            n = np.array([np.sum(problem.rows.present[:, at]) for at in (~of_worst, of_worst)])
-            most = min(GOOD, (left * n[0] + max(left, 1.0) * chdtri(n[1], CHANCE)) / n.sum())
-            causes = [cause for cause in causes if not cause.hides and cause.ratio < most]
         elif best > GOOD:
-            causes += _causes(problem, [*_by_kind(problem), *_by_epoch(problem)], ratio)
-    # a correction that hides much may hide two mistakes
-    if ratio > EXCESS and not alone and not any(cause.ratio < GOOD and not cause.hides for cause in causes):
-        causes = _two(problem) or causes
+            causes += _causes(problem, _by_kind(problem), ratio)
+        # a correction that hides much may hide two mistakes
+        if alone:
+            causes = [cause for cause in causes if not cause.hides and cause.ratio < GOOD]
     said = likely(causes, _alike_within(problem))
     return f"{alone}{said}" if said == UNEXPLAINED else said
 
@@ -334,52 +291,17 @@ def _causes(problem: Problem, parts: Iterable[_Part], ratio: float) -> Iterator[
         if part.table == "satellite" or np.count_nonzero(part.at) < 3:
             continue
         epochs = np.unique(problem.rows.epoch[part.at & problem.rows.present[0]])
-        free = {100.0: "wrong in single rows: positions are off along the proper motion"}
+        words = "wrong in single rows: positions are off along the proper motion"
         if len(epochs) == 1:
-            free[100.0] = f"equal ({epochs[0]:g}), but they were measured at different ones"
-        elif steps := [step for step in STEPS if np.all(np.abs(epochs - step * np.round(epochs / step)) < 1e-6)]:
-            free = {0.6 * steps[0]: f"in steps of {steps[0]:g} yr, in which stars move by more than the errors"} | free
-        for years, words in free.items():
-            along, across = (_ratio(_applied(problem, part, _freed(problem, turn, years))) for turn in (False, True))
-            if explains(along, ratio) and across > max(GOOD, 2.0 * along):
-                yield Cause(f"epochs of {part.words} {words}", along, 1)
-                break
+            words = f"equal ({epochs[0]:g}), but they were measured at different ones"
+        along, across = (_ratio(_applied(problem, part, _freed(problem, turn))) for turn in (False, True))
+        if explains(along, ratio) and across > max(GOOD, 2.0 * along):
+            yield Cause(f"epochs of {part.words} {words}", along, 1)
 
 
 def impossible(errors: Array, epoch: Array) -> Flags:
     """Return which positions (N,) are of an epoch when none had such errors, of the errors (5, N) of rows."""
     return np.asarray((errors[0] < 10.0 * MAS) & ((epoch < EARLIEST) | (epoch > LATEST)))
-
-
-def _two(problem: Problem) -> list[Cause]:
-    """Return two mistakes: those whose corrections help most, each with one after whose correction all is well.
-
-    Epochs that are far off hide how much a correction helps, so that it is tried with epochs free too.
-    """
-    wholes, free = _wholes(problem), _freed_epochs(problem)
-    determined = np.isfinite(_ratio(free))  # motions alone say nothing of epochs
-    free = free if determined else problem
-
-    def left(trial: Problem) -> float:
-        return _ratio(_freed_epochs(trial) if determined else trial)
-
-    worst, _ = _outliers(free, left(problem))
-    few = _of_sources(problem, worst) if len(worst) else ()
-    trials = [*_trials(problem, [*wholes, *few]), *_exchanged(problem, free)]
-    best = sorted(((left(trial), words, trial) for words, hides, trial in trials if not hides), key=lambda one: one[0])
-    causes: dict[frozenset[str], Cause] = {}  # the same two in either order are one
-    for after, words, trial in best[:TWICE]:
-        if after < 0.9 * _ratio(free):
-            for cause in _causes(trial, wholes, _ratio(trial)):
-                if cause.ratio < GOOD and not cause.hides:
-                    both = Cause(f"{words}, and {cause.words}", cause.ratio)
-                    causes.setdefault(frozenset((words, cause.words)), both)
-    return list(causes.values())
-
-
-def _freed_epochs(problem: Problem) -> Problem:
-    """Return the problem with a shift of all epochs among its unknowns, which moves stars along their motions."""
-    return replace(problem, unknowns=Unknowns((*problem.unknowns.blocks, EPOCHS)))
 
 
 def _trials(problem: Problem, parts: Iterable[_Part]) -> Iterator[tuple[str, int, Problem]]:
@@ -469,8 +391,8 @@ def _scaled(rows: Sequence[int], factor: float, values: bool = False, errors: bo
     return change
 
 
-def _freed(problem: Problem, turned: bool, years: float) -> Change:
-    """Return a change that gives positions an error along the proper motions, as if epochs were known to some years
+def _freed(problem: Problem, turned: bool) -> Change:
+    """Return a change that gives positions an error along the proper motions, as if epochs were known to a century
     only; or, if ``turned``, across them.  Single-epoch positions are also uncertain by the parallax.
     """
 
@@ -479,12 +401,11 @@ def _freed(problem: Problem, turned: bool, years: float) -> Change:
         motion = np.nan_to_num(star.values[[4, 3] if turned else [3, 4]]) * np.array([[-1.0 if turned else 1.0], [1.0]])
         with np.errstate(invalid="ignore", divide="ignore"):
             size = np.where(np.any(motion != 0.0, axis=0), 1e5 * rows.errors[0] / np.hypot(*motion), 0.0)
-        along = motion * np.where(rows.present[0], np.minimum(size, years), 0.0)
+        along = motion * np.where(rows.present[0], np.minimum(size, 100.0), 0.0)
         covariance = rows.covariance()
         covariance[:, :2, :2] += np.einsum("ir,jr->rij", along, along)
         seen = rows.apparent & rows.present[0]
-        parallax = min(1.0, 3.0 * years) * np.nan_to_num(star.values[2, seen, None, None])
-        covariance[seen, :2, :2] += np.eye(2) * parallax**2
+        covariance[seen, :2, :2] += np.eye(2) * np.nan_to_num(star.values[2, seen, None, None]) ** 2
         errors, correlations = by_errors(covariance)
         errors = np.where(rows.present, errors, rows.errors)
         return replace(rows, errors=errors, correlations=correlations[*np.array(PAIRS).T])
@@ -575,17 +496,17 @@ def _outliers(problem: Problem, ratio: float) -> tuple[Indices, float]:
     return np.zeros(0, dtype=np.int64), np.nan
 
 
-def _exchanged(problem: Problem, judged: Problem) -> Iterator[tuple[str, int, Problem]]:
-    """Yield, as `_trials`, pairs of sources whose rows belong to one another, of those that fit worst as ``judged``."""
-    sums = source_sums(judged)
+def _exchanged(problem: Problem, ratio: float) -> Iterator[Cause]:
+    """Yield, as `_causes`, pairs of sources whose rows belong to one another, of those that fit worst."""
+    sums = source_sums(problem)
     worst = np.argsort(-_each(sums, solve(sums)))[:6]
     for part in _wholes(problem)[1:]:
         for pair in combinations(worst, 2):
             place = np.arange(len(problem.satellite))
             place[list(pair)] = pair[::-1]
-            source = np.where(part.at, place[problem.source], problem.source)
-            words = f"the names {_listed(problem, pair, ' and ')} exchanged in {part.words}"
-            yield words, 0, replace(problem, source=source)
+            trial = replace(problem, source=np.where(part.at, place[problem.source], problem.source))
+            if explains(corrected := _ratio(trial), ratio):
+                yield Cause(f"the names {_listed(problem, pair, ' and ')} exchanged in {part.words}", corrected)
 
 
 def _listed(problem: Problem, sources: Sequence[int] | Indices, separator: str = ", ") -> str:

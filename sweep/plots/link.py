@@ -142,7 +142,7 @@ def catalogue_of_point(store: Where, at: Sequence[str]) -> xr.Dataset:
     study = study_to_look_at(store)
     point = point_in(OpenStore(store).dataset(), study, parse_places(at), str(store))
     _, rng = generators(study.sampling.seed, point.stream, 0, 0)
-    catalogue = scenario(point.parameters).draw_catalogue(rng)
+    catalogue = scenario(point.parameters).draw_catalogue.draw(rng)
     title = f"{study.title}: the {len(catalogue)} objects of one catalogue"
     sky = _sky(catalogue.ra / DEGREE, catalogue.dec / DEGREE, ", ".join([title, *at]))
     return sky.assign(v_mag=("object", catalogue.v_mag, MAGNITUDE))

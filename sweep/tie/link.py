@@ -40,9 +40,6 @@ ERRORS = ("formal", "scaled", "jackknife", "cells", "bootstrap", "sandwich")
 # How often noise is estimated from what a clip keeps with it.
 ROUNDS = 20
 
-# What notes say of that which is in the tables but not in the link, or too small to be solved with.
-NOT_USED = ("not used", "not measured", "left out", "match no source", "keeps", "no instrument has")
-
 # A chi2 that is lower by so much with the opposite sign of what is known is no chance.
 WORSE = 10.0
 
@@ -120,7 +117,10 @@ def solve_link(setup: Setup, asked: Options, sources: solving.Sources | None = N
                 doubt = setup.epochs.doubt
             notes += _of_known(setup, sources, result)
     except ValueError as error:  # LinkError is one
-        raise SweepError(f"{error}{_rows_there_are(setup) if isinstance(error, LinkError) else ''}") from error
+        said = [str(error)]
+        if isinstance(error, LinkError):  # which the kinds of rows, or what is not used of the tables, may explain
+            said += [f"rows are of the kind {', '.join(np.unique(kinds(setup.problem.rows)))}", *setup.notes]
+        raise SweepError("; ".join(said)) from error
     for block, part in zip(unknowns.names, share.T, strict=True):
         if large := sorted(np.flatnonzero(part > solving.LARGE_SHARE), key=part.__getitem__, reverse=True):
             named = ", ".join(f"{setup.names[places[k]]} ({100.0 * part[k]:.0f} %)" for k in large)
@@ -186,20 +186,6 @@ def _of_known(setup: Setup, sources: solving.Sources, result: solving.Clipped) -
     question = ": is its sign right?" if opposite + WORSE < result.solution.squares else ""
     said = f"chi2 is {result.solution.squares:.6g} with what is known subtracted, {without:.6g} without, {opposite:.6g}"
     return [f"{said} with the opposite sign{question}"]
-
-
-def _rows_there_are(setup: Setup) -> str:
-    """Return which kinds of rows there are, what these lack, and what was not used of the tables, for an error."""
-    rows, star = setup.problem.rows, setup.problem.satellite.present[:, setup.problem.source]
-    names, numbers = np.unique(kinds(rows), return_counts=True)
-    counted = ", ".join(f"{n} {kind}" for kind, n in zip(names, numbers, strict=True))
-    if len(epochs := np.unique(rows.epoch[np.isfinite(rows.epoch)])):
-        counted += f", of {epochs[0]:g} to {epochs[-1]:g}" if len(epochs) > 1 else f", all of {epochs[0]:g}"
-    lacking = ["an orientation needs positions in the reference"] * (not np.any(rows.present[:2]))
-    spin = "a spin needs motions with errors in both tables, or in one and positions of other epochs in the other"
-    lacking += [spin] * (not np.any(rows.present[3:] & star[3:]))
-    unused = [note for note in setup.notes if any(words in note for words in NOT_USED)]
-    return f" (rows: {'; '.join([counted, *lacking, *unused])})"
 
 
 def _covariances(

@@ -2,10 +2,10 @@
 done to the rows, and the unknowns; of a Parquet table of millions of quasars one row group at a time.
 """
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, lru_cache
-from itertools import pairwise, permutations, product
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +13,13 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from linksweep.core import frames
-from linksweep.core.frames import ARCSEC, DEGREE, MAS, Array, Flags, Indices, LinkError, Names, position, triad
+from linksweep.core.frames import ARCSEC, DEGREE, MAS, Array, Flags, Indices, LinkError, Names, triad
 from linksweep.core.tie import astrometry as core
 from linksweep.core.tie.astrometry import Astrometry, kinds, named_rows
 from linksweep.core.tie.forecast import releases_at
 from linksweep.core.tie.noise import ALL, ESTIMATE
 from linksweep.core.tie.problem import Problem, StreamedSources, sources_of
-from linksweep.core.unknowns import Block, SpinByBin, Unknowns, parse_unknowns, require_mission_name, spin_by_bin
+from linksweep.core.unknowns import Block, Unknowns, parse_unknowns, require_mission_name, spin_by_bin
 from linksweep.sweep.contract import SweepError, refused
 from linksweep.sweep.executing.executor import Map
 from linksweep.sweep.formatting import first_of, split_assignment
@@ -50,11 +50,7 @@ DEFAULT_RADIUS_ARCSEC = 1.0
 # Separations from the source of the same name above which a row is noted, and is refused.
 FAR_DEG, FARTHEST_DEG = 10.0 / 3600.0, 1.0
 
-# Frames of astropy that positions may be in by mistake.
-OTHER_FRAMES = {"fk4": "of the equinox B1950", "galactic": "galactic", "barycentricmeanecliptic": "ecliptic"}
-
-# So near are positions once they are in the right frame.
-NEARBY = DEGREE / 60.0
+ARE_RIGHT = "are the names, the epochs, and the frame and units of the positions right?"
 
 # Rows of a source within two days may be the same measurement.
 SAME_EPOCH_YR = 0.005
@@ -412,12 +408,8 @@ def _by_position(satellite: AstrometricTable, reference: AstrometricTable, radiu
         distance, nearest = map(np.asarray, tree.query(there, k=2, distance_upper_bound=2.0 * chord))
         place[at], second[at] = np.where(distance <= chord, nearest, -1).T
     if np.all(place < 0):
-        both = [(table.path, triad(*table.astrometry.values[:2]).r) for table in (satellite, reference)]
-        for question, turned, other in _otherwise(both):
-            apart, _ = cKDTree(other.T).query(turned.T, distance_upper_bound=NEARBY)
-            if np.isfinite(apart).sum() > 0.25 * min(len(sources), len(rows)):
-                hint = f"; {question}"
-        raise SweepError(f"no row of the reference is within {radius:g} arcsec of a source{hint}", reference.path)
+        said = f"no row of the reference is within {radius:g} arcsec of a source{hint}"
+        raise SweepError(f"{said}; {ARE_RIGHT}", reference.path)
     return Match(place, f"position within {radius:g} arcsec", second)
 
 
@@ -439,9 +431,7 @@ def _directions(sources: Astrometry, epoch: Array) -> Array:
 def far_rows(satellite: AstrometricTable, table: AstrometricTable, matched: Match) -> list[str]:
     """Return a note on rows far from their sources; raises SweepError if they cannot be the same objects."""
     there, here = satellite.astrometry.taken(matched.source), table.astrometry.taken(matched.rows)
-    both = (satellite.path, _directions(there, here.epoch)), (table.path, triad(*here.values[:2]).r)
-    with np.errstate(invalid="ignore"):
-        between = np.linalg.norm(both[1][1] - both[0][1], axis=0)
+    between = np.linalg.norm(triad(*here.values[:2]).r - _directions(there, here.epoch), axis=0)
     apart = np.nan_to_num(2.0 * np.arcsin(np.minimum(0.5 * between, 1.0)) / DEGREE)
     refused = np.any(apart > FARTHEST_DEG)
     far = np.flatnonzero(apart > (FARTHEST_DEG if refused else FAR_DEG))
@@ -449,44 +439,10 @@ def far_rows(satellite: AstrometricTable, table: AstrometricTable, matched: Matc
         return []
     size = f"{apart[far].max():.3g} deg" if refused else f"{apart[far].max() * 3600.0:.3g} arcsec"
     whose = "their source" if matched.by.startswith("position") else "the source of the same name"
-    note = f"{named_rows(matched.rows[far])} of {Path(table.path).name}: up to {size} from {whose}"
-    nearby = min(NEARBY, 0.1 * np.median(between[far]))  # near the poles of such a turn all rows are
-    for question, turned, other in _otherwise([(path, one[:, far]) for path, one in both]):
-        if np.median(np.linalg.norm(turned - other, axis=0)) < nearby:
-            raise SweepError(f"{note}; {question}")
-    elsewhere = _elsewhere(satellite, table, matched, far)
+    note = f"{named_rows(matched.rows[far])} of {Path(table.path).name}: up to {size} from {whose}; {ARE_RIGHT}"
     if refused:
-        raise SweepError(f"{note}; {elsewhere or 'are the names right, the epochs, and the units of the positions?'}")
-    return [f"{note}; {elsewhere}" if elsewhere else note]
-
-
-def _otherwise(tables: Sequence[tuple[str, Array]]) -> Iterator[tuple[str, Array, Array]]:
-    """Yield what the positions of one of two tables may be by mistake, as a question, where they are then, and where
-    those of the other are; each (3, N).
-    """
-    from astropy.coordinates import SkyCoord
-
-    for (path, one), (_, other) in permutations(tables):
-        ra, dec = position(one)
-        ra = (ra + np.pi) % (2.0 * np.pi) - np.pi
-        turned = {"in hours": triad(15.0 * ra, dec).r, "in radians": triad(ra / DEGREE, dec / DEGREE).r}
-        for frame, words in OTHER_FRAMES.items():
-            turned[words] = SkyCoord(ra, dec, unit="rad", frame=frame).icrs.cartesian.xyz.value
-        for words, there in turned.items():
-            yield f"are the positions of {Path(path).name} {words}?", there, other
-
-
-def _elsewhere(satellite: AstrometricTable, table: AstrometricTable, matched: Match, far: Indices) -> str:
-    """Return a clause that names the other sources at whose positions rows are that are far from their own."""
-    rows = replace(table, astrometry=table.astrometry.taken(matched.rows[far]))
-    try:
-        near = match(satellite, rows, f"position:{FAR_DEG * 3600.0:g}")
-    except SweepError:  # none of them is near any source
-        return ""
-    names = satellite.labels
-    both = zip(names[matched.source[far[near.rows]]], names[near.source], strict=True)
-    pairs = dict.fromkeys(f"{a} is where {b} is" for a, b in both if a != b)
-    return f"{', '.join(list(pairs)[:3])}: are names exchanged?" if pairs else ""
+        raise SweepError(note)
+    return [note]
 
 
 def _listed(table: AstrometricTable, rows: Indices) -> str:
@@ -671,12 +627,7 @@ def unknowns_for(options: Options, problem: Problem, notes: list[str]) -> Unknow
             names += _determined(problem, names, mission)
     bins = parse_bins(options.bins)
     columns = problem.satellite.columns
-    unknowns = parse_unknowns(",".join(names), bins if options.bins else None, columns, missions=missions)
-    for block in (block for block in unknowns.blocks if isinstance(block, SpinByBin)):
-        if empty := sorted({*pairwise((-np.inf, *block.edges, np.inf))} - {*block.bins}):
-            said = ", ".join(f"[{low:g},{high:g})" for low, high in empty)
-            notes.append(f"no source has {block.column} in {said}, for which there is no spin")
-    return unknowns
+    return parse_unknowns(",".join(names), bins if options.bins else None, columns, missions=missions)
 
 
 def _determine(problem: Problem, names: Sequence[str]) -> bool:

@@ -14,7 +14,7 @@ from linksweep.core.fields import Field, ZonalErrors, parse_pattern, pattern_fie
 from linksweep.core.frames import DEGREE, GALACTIC_AXES, MAS, MICROARCSEC, LinkError, exact_differences, triad
 from linksweep.core.missions import CALIBRATED, MISSIONS, FunctionCurve, Mission, calibrate, mission_from_table
 from linksweep.core.setup import ROWS, TILE, Prefixes, prepare, scenario
-from linksweep.core.simulate import can_stack, simulate, simulate_stack
+from linksweep.core.simulate import can_stack, simulate
 from linksweep.sweep.contract import Named
 from linksweep.sweep.tables.columns import table_file
 
@@ -52,7 +52,7 @@ def generators(seed=1):
 
 
 def drawn(seed=1, **changes):
-    return scenario(link.defaults() | changes).draw_catalogue(np.random.default_rng(seed))
+    return scenario(link.defaults() | changes).draw_catalogue.draw(np.random.default_rng(seed))
 
 
 def evaluated(n_sim, *points, seed=1):
@@ -66,7 +66,7 @@ def results(n_sim, *points, seed=1):
 
 def run(physics, n_sim, seed=1, catalogue_seed=2, keep=True):
     streams = np.random.default_rng(seed), np.random.default_rng(catalogue_seed)
-    return simulate([physics], n_sim, *streams, keep_estimates=keep)[0]
+    return simulate([physics], n_sim, [streams], keep_estimates=keep)[0]
 
 
 def of_objects(catalogue, physics, **changes):

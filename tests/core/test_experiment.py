@@ -158,7 +158,7 @@ def test_a_users_accuracy_curve_is_computed_for_each_catalogue_by_itself():
     mission = points.Mission(curve, curve, 1.0, np.inf, "a test")
     limits = [scenario(point(catalogue="quasars", n_obj=None, v_max=v)) for v in (14.0, 15.0)]
     both = [replace(one, satellite_errors=points.MagnitudeErrors(mission)) for one in limits]
-    together, alone = points.simulate(both, 30, *generators()), points.simulate(both[:1], 30, *generators())
+    together, alone = (points.simulate(some, 30, [generators()]) for some in (both, both[:1]))
     np.testing.assert_array_equal(together[0]["error"], alone[0]["error"])
     np.testing.assert_array_equal(together[0]["predicted_variance"], alone[0]["predicted_variance"])
 
@@ -223,4 +223,4 @@ def test_catalogues_that_differ_in_kind_or_determine_no_link_are_refused(change,
 
     physics = replace(scenario(point(n_obj=12)), draw_catalogue=points.NestedDraw("own", 12, draw, True), **errors)
     with pytest.raises(points.LinkError, match=words):
-        points.simulate_stack(physics, 5, streams(8))
+        points.simulate([physics], 5, streams(8), (8,))

@@ -36,7 +36,7 @@ def physics_of(**changes):
 
 def one_by_one(physics, n_sim, seed=1, catalogue_seed=2):
     """Yield the solution of each realisation by the SVD of its design matrix, and estimates - truth; same normals."""
-    catalogue = physics.draw_catalogue(np.random.default_rng(catalogue_seed))
+    catalogue = physics.draw_catalogue.draw(np.random.default_rng(catalogue_seed))
     setup = set_up(catalogue, physics)
     true = np.stack([catalogue.ra, catalogue.dec, catalogue.pmra, catalogue.pmdec])
     y = points.exact_differences(*true, *np.array([physics.epsilon, physics.omega]))
@@ -94,7 +94,7 @@ def test_equals_the_plain_loop(weighting, reference, n_obj, n_sim, corrections, 
     if solve_glide:
         assert np.all(np.abs(sums["glide_squares"] - np.diag(products)[6:]) < (near * sigma)[6:])
     assert sums["chi2"] == pytest.approx(sum(s.chi2 for s in solutions), rel=1e-9)
-    covariance = predicted(physics, physics.draw_catalogue(np.random.default_rng(2)))
+    covariance = predicted(physics, physics.draw_catalogue.draw(np.random.default_rng(2)))
     bias = sums["predicted_bias"][kept] / n_sim
     np.testing.assert_allclose(sums["predicted_variance"][kept], n_sim * np.diag(covariance), rtol=1e-9)
     orientation, spin = np.eye(9)[:3].mean(axis=0), np.eye(9)[3:6].mean(axis=0)
@@ -194,7 +194,7 @@ def test_what_is_neglected_is_bounded(changes):
     """The same errors of arcseconds, with the design of each realisation and with the one of the true reference."""
     both = ARCSEC | {"satellite_errors": "normal", "satellite_sigma_pos": 700.0, "satellite_sigma_pm": 200.0}
     physics = physics_of(**TWELVE | both | changes)
-    setup = set_up(physics.draw_catalogue(np.random.default_rng(2)), physics)
+    setup = set_up(physics.draw_catalogue.draw(np.random.default_rng(2)), physics)
     design, n_sim, rng = points.design_of(setup), 200, np.random.default_rng(5)
     sigma = np.sqrt(np.diag(design.predicted_covariance()))
     whole, fixed = [], []

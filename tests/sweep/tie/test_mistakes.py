@@ -10,7 +10,6 @@ import pytest
 from astropy.coordinates import SkyCoord
 from astropy.table import Column
 from click.testing import CliRunner
-from hypothesis import given, settings, strategies as st
 
 import linksweep
 from linksweep import SweepError
@@ -21,7 +20,7 @@ from tests.core.tie.made import NAMES, gaia_table, noise, seen_by_satellite, sta
 from tests.tiers import few, slow
 
 EPSILON, OMEGA = np.array([0.8, -1.5, 0.6]) * MAS, np.array([-0.12, 0.25, 0.07]) * MAS
-POSITIONS, MOTIONS, ECLIPTIC = ("ra_error", "dec_error"), ("pmra", "pmdec"), "geocentricmeanecliptic"
+POSITIONS, MOTIONS = ("ra_error", "dec_error"), ("pmra", "pmdec")
 ERRORS = tuple(f"{name}_error" for name in NAMES)
 CORRELATIONS = [f"{one}_{other}_corr" for one, other in combinations(NAMES, 2)]
 EXCHANGED = {a + end: lambda t, name=b + end: t[name] for a, b in (MOTIONS, MOTIONS[::-1]) for end in ("", "_error")}
@@ -95,20 +94,19 @@ def in_frame(table, rng, frame):
 
 MISTAKES = {
     "a century early there": ("reference", epochs_moved(-150.0), "no position .* of the reference 150 years too early"),
-    "one star reversed": ("satellite", of_one("pmra", np.negative), r"pmra of \d+ in the satellite with reversed sign"),
-    "one star in arcsec": ("satellite", of_one("pmra", lambda pm: pm / 1e3), r"pmra of \d+ in the satellite, arcsec"),
-    "one row late there": ("reference", of_one("ref_epoch", lambda t: t + 7), r"row of .* (7|6.95) years too late"),
+    "one star reversed": ("satellite", of_one("pmra", np.negative), r"without \d+ it is"),
+    "one row late there": ("reference", of_one("ref_epoch", lambda t: t + 7), r"without \d+ it is"),
     "errors in uas": ("satellite", scaled(ERRORS, 1e3), "too large, uas taken for mas"),
     "one row twice": ("reference", twice_with_other_digits, "(nearly the|the same) numbers (of|as) another row"),
-    "B1950": ("reference", partial(in_frame, frame="fk4"), r"positions of reference.fits of the equinox B1950\?"),
-    "galactic": ("reference", partial(in_frame, frame="galactic"), r"positions of reference.fits galactic\?"),
+    "B1950": ("reference", partial(in_frame, frame="fk4"), "frame and units of the positions right"),
+    "galactic": ("reference", partial(in_frame, frame="galactic"), "frame and units of the positions right"),
     "mu_alpha": ("satellite", WITHOUT_COS, "pmra of the satellite is mu_alpha"),
     "mu_alpha there": ("reference", WITHOUT_COS, "pmra of the reference is mu_alpha"),
     "motions exchanged": ("satellite", EXCHANGED, "pmra and pmdec of the satellite exchanged"),
     "motions reversed": ("satellite", scaled(MOTIONS, -1.0), "proper motions of the satellite with reversed sign"),
     "half a year early there": ("reference", epochs_moved(-0.5), "epochs of the reference 0.5 years too early"),
     "a quarter year late there": ("reference", epochs_moved(0.25), "epochs of the reference 0.25 years too late"),
-    "epochs cut": ("reference", {"ref_epoch": lambda t: np.floor(t["ref_epoch"])}, "epochs .* in steps of 1 yr"),
+    "epochs cut": ("reference", {"ref_epoch": lambda t: np.floor(t["ref_epoch"])}, "epochs .* wrong in single rows"),
     "epochs equal": ("reference", {"ref_epoch": lambda t: 0.0 * t["ref_epoch"] + 2016.0}, "epochs of .* equal"),
     "parallax in arcsec": ("satellite", scaled(["parallax"], 1e-3), "parallaxes of the satellite, arcsec taken"),
     "motions in arcsec there": ("reference", scaled(MOTIONS, 1e-3), "proper motions of the reference, arcsec taken"),
@@ -123,23 +121,17 @@ MISTAKES = {
     "no correlations": ("satellite", lambda table, rng: table.remove_columns(CORRELATIONS), "no correlations"),
     "errors that are NaN": ("reference", errors_nan, "rows have no error of ra, dec"),
     "names exchanged": ("reference", names_exchanged, "exchanged"),
-    "ecliptic": ("satellite", partial(in_frame, frame=ECLIPTIC), r"positions of satellite.fits ecliptic\?"),
-    "hours": ("reference", {"ra": lambda table: table["ra"] / 15.0}, r"positions of reference.fits in hours\?"),
+    "hours": ("reference", {"ra": lambda table: table["ra"] / 15.0}, "units of the positions right"),
 }
-PAIRS = [("motions exchanged", one, 12, 3) for one in ("motions in arcsec there", "mu_alpha there")]
-PAIRS += [("mu_alpha", "a quarter year late there", 12, 3), ("a century early there", "one star reversed", 12, 3)]
-PAIRS += [("mu_alpha", "mu_alpha there", 10, 2)]  # which wrong epochs of single rows would explain as well
-OFF = [mistake for mistake in MISTAKES if "year" in mistake or "century" in mistake]
-VALUES = [mistake for mistake in MISTAKES if re.search("mu_alpha|motions|reversed", mistake)]
 
 
-def with_mistakes(n, seed, *mistakes):
+def with_mistake(n, seed, mistake):
     tables = dict(zip(("satellite", "reference"), sky(n, seed), strict=True))
-    for side, change, _ in map(MISTAKES.get, mistakes):
-        if callable(change):
-            change(tables[side], np.random.default_rng(seed))
-        else:
-            tables[side].update({name: column(tables[side]) for name, column in change.items()})
+    side, change, _ = MISTAKES[mistake]
+    if callable(change):
+        change(tables[side], np.random.default_rng(seed))
+    else:
+        tables[side].update({name: column(tables[side]) for name, column in change.items()})
     return tables.values()
 
 
@@ -160,38 +152,8 @@ def solved(folder, *tables):
 @pytest.mark.parametrize("mistake", few(6, MISTAKES))
 @pytest.mark.parametrize(("n", "seed"), [(9, 2), *(slow(n, n + seed) for n in (5, 60) for seed in (2, 3))])
 def test_a_mistake_is_named(tmp_path, mistake, n, seed):
-    found = solved(tmp_path, *with_mistakes(n, seed, mistake))
+    found = solved(tmp_path, *with_mistake(n, seed, mistake))
     assert any(re.search(MISTAKES[mistake][2], note) for note in found), found
-
-
-@pytest.mark.slow
-def test_a_row_off_near_the_pole_of_the_ecliptic_is_not_of_another_equinox(tmp_path):
-    satellite, reference = sky(30, 1)
-    pole = SkyCoord(10.0, 89.7, unit="deg", frame=ECLIPTIC.replace("geo", "bary")).icrs
-    for table in (satellite, reference):
-        here = table["source_id"] == satellite["source_id"][0]
-        table["ra"][here], table["dec"][here] = pole.ra.deg, pole.dec.deg
-    reference["dec"][0] += 15.0 / 3600.0
-    notes = solved(tmp_path, satellite, reference)
-    assert any(re.search("15.* arcsec from", note) for note in notes), notes
-    assert not any("B1950" in note for note in notes), notes
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("one", "other", "n", "seed"), PAIRS)
-def test_two_mistakes_at_once_are_both_named(tmp_path, one, other, n, seed):
-    found = solved(tmp_path, *with_mistakes(n, seed, one, other))
-    assert all(re.search(MISTAKES[mistake][2], found[0]) for mistake in (one, other)), found
-
-
-@pytest.mark.slow
-@settings(max_examples=12, deadline=None, derandomize=True)
-@given(epochs=st.sampled_from(OFF), other=st.sampled_from(VALUES), seed=st.integers(1, 99))
-def test_epochs_that_are_off_and_another_mistake_are_both_named_or_none(tmp_path_factory, epochs, other, seed):
-    found = solved(tmp_path_factory.mktemp("pair"), *with_mistakes(10, seed, other, epochs))[0]
-    left = re.search(r"corrected, chi2 is ([\d.e+]+) times its expectation", found)
-    is_told = "no known mistake" in found or (left is not None and float(left[1]) > 5.0)  # something else is wrong too
-    assert is_told or all(re.search(MISTAKES[one][2], found) for one in (epochs, other)), found
 
 
 @pytest.mark.parametrize(("n", "seed"), [(5, 1), slow(20, 2), slow(60, 3)])
@@ -202,7 +164,7 @@ def test_a_sky_without_a_mistake_is_not_suspected(tmp_path, n, seed):
 
 @pytest.mark.slow
 def test_an_absurd_link_is_printed_but_not_written_unless_it_is_accepted_also_in_a_study(tmp_path):
-    tables = written(tmp_path, *with_mistakes(8, 4, "mu_alpha"))
+    tables = written(tmp_path, *with_mistake(8, 4, "mu_alpha"))
     command = ["tie", *tables, "-o", str(tmp_path / "tie.zarr")]
     refused = CliRunner().invoke(main, command)
     first = " ".join(refused.stdout.split())
@@ -232,7 +194,7 @@ def test_a_real_misfit_has_no_invented_cause_and_sources_that_alone_carry_it_are
     for k, name in enumerate(NAMES):
         step = size * rng.normal(size=len(reference)) * reference[f"{name}_error"]
         reference[name] += step / (1.0 if k > 1 else 3.6e6)
-    words = "^chi2 is .*no known mistake explains it: errors may be too small, or sources not single$"
+    words = "^chi2 is .*no known mistake explains it: errors may be too small, .* or two mistakes made$"
     assert re.search(words, solved(tmp_path, satellite, reference)[0])
     satellite, reference = sky(8, 6)
     at = reference["source_id"] == (bad := reference["source_id"][0])
