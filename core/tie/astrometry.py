@@ -160,12 +160,13 @@ def positive_definite(matrices: Array, least: float = 0.0) -> Flags:
 # Names of the kinds of rows by what is measured: 1 for a position, 2 for a parallax and 4 for a motion.
 KINDS = (
     *("nothing", "position", "parallax", "position and parallax"),
-    *("motion", "position and motion", "three-parameter", "five-parameter"),
+    *("motion", "position and motion", "three-parameter", "five-parameter", "single epoch"),
 )
+SINGLE_EPOCH = KINDS.index("single epoch")
 
 
-def kinds(rows: Astrometry) -> Texts:
-    """Return the kind of each row, which follows from what is measured; shape (N,).
+def kind_numbers(rows: Astrometry) -> Indices:
+    """Return where in `KINDS` the kind of each row is, which follows from what is measured; shape (N,).
 
     One coordinate of a position or of a motion is enough.  A position alone is of a "single epoch" where it is marked
     so.  Raises ValueError for a position of which one coordinate has no value.
@@ -173,9 +174,14 @@ def kinds(rows: Astrometry) -> Texts:
     by_group = np.logical_or.reduceat(rows.measured, [0, 2, 3])
     if len(half := np.flatnonzero(by_group[0] & ~np.isfinite(rows.values[:2]).all(axis=0))):
         raise ValueError(f"only one coordinate of the position has a value in {named_rows(half)}")
-    kind: Texts = np.array(KINDS, dtype="U24")[by_group.T @ np.array([1, 2, 4])]
-    kind[(kind == "position") & rows.apparent] = "single epoch"
-    return kind
+    position, parallax, motion = by_group
+    number = position + 2 * parallax + 4 * motion
+    return np.where((number == KINDS.index("position")) & rows.apparent, SINGLE_EPOCH, number)
+
+
+def kinds(rows: Astrometry) -> Texts:
+    """Return the names of these kinds; raises ValueError as `kind_numbers`."""
+    return np.array(KINDS, dtype="U24")[kind_numbers(rows)]
 
 
 def named_rows(rows: Indices) -> str:

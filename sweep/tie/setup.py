@@ -217,7 +217,8 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
         matches.append(matched)
         parts.append(with_jitter(rows, jitter.get(name, {})))
     source = np.concatenate([matched.source for matched in matches])
-    sources = np.arange(n) if all_sources else np.unique(source)
+    # not np.unique, whose hashes of consecutive integers take a hundred times as long (NumPy 2.4)
+    sources = np.arange(n) if all_sources else np.flatnonzero(np.bincount(source))
     names = _names(left, tables[SIDES[1]], matches[0])[sources]
     stars = replace(_taken(left.astrometry, sources), names=names)
     rows, source = parts[0] if len(parts) == 1 else core.joined(*parts), np.searchsorted(sources, source)
@@ -251,7 +252,7 @@ def _names(left: AstrometricTable, reference: AstrometricTable, matched: "Match"
 
 def _resting(stars: Astrometry, rows: Astrometry, source: Indices) -> list[str]:
     """Return a note if single-epoch positions are of sources without parallaxes and motions, like quasars."""
-    observed = np.unique(source[kinds(rows) == "single epoch"])
+    observed = np.unique(source[core.kind_numbers(rows) == core.SINGLE_EPOCH])
     if len(observed) < 5:
         return []
     values, errors = (one[2:, observed][stars.present[2:, observed]] for one in (stars.values, stars.errors))
@@ -509,7 +510,7 @@ def with_jitter(rows: Astrometry, jitter: Mapping[str, Any]) -> Astrometry:
     """
     if not jitter:
         return rows
-    known = [*core.KINDS, "single epoch", ALL]
+    known = [*core.KINDS, ALL]
     if unknown := sorted(set(jitter) - set(known)):
         raise SweepError(f"jitter: no kind of row {', '.join(unknown)}; kinds are {', '.join(known)}")
     kind_of_row = kinds(rows)
@@ -669,7 +670,10 @@ def in_row_groups(satellite: str | Path, reference: str | Path, options: Options
 
 @dataclass(frozen=True)
 class RowGroup:
-    """The rows of a table from ``first`` on, and the options; ``unknowns`` are empty until they are known."""
+    """The rows of a table from ``first`` on, and the options.
+
+    ``epoch`` and ``unknowns`` are known when all row groups have been looked through.
+    """
 
     path: Path
     digest: str
@@ -694,7 +698,8 @@ class RowGroup:
             raise SweepError("is not the same file on every worker, or was changed", str(self.path))
         table = reader.read_row_group(self.path, self.number, self.columns)
         where = f"{self.path}, the {len(table)} rows from row {self.first + 1} on"
-        rows = astrometric_table(table, where, self.digest, table_options(self.options)["satellite"])
+        options, checked = table_options(self.options)["satellite"], bool(np.isfinite(self.epoch))
+        rows = astrometric_table(table, where, self.digest, options, checked)
         if not np.all(np.isfinite(rows.astrometry.values[:2])):
             raise SweepError("sources without a position", where)
         return rows

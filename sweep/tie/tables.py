@@ -220,22 +220,28 @@ def columns_needed(names: Sequence[str], options: TableOptions, further: Collect
     return [name for name in names if name in used or name in further]
 
 
-def astrometric_table(table: Any, where: str, digest: str, options: TableOptions) -> AstrometricTable:
-    """Return what an astropy Table holds; raises SweepError as `read_table`."""
+def astrometric_table(
+    table: Any, where: str, digest: str, options: TableOptions, checked: bool = False
+) -> AstrometricTable:
+    """Return what an astropy Table holds; raises SweepError as `read_table`.
+
+    Rows that an earlier pass has ``checked`` are read without looking for mistakes in them again.
+    """
     read = Columns(table, where, options.columns, options.units, QUANTITIES)
     read.finish()
     if not len(read):
         raise SweepError("has no rows", where)
     values, errors = _measured(read, PARAMETERS, options)
     read.finish()
-    _note_lost(read, np.isfinite(values) & ~np.isfinite(errors))
-    _note_unlikely(read, PARAMETERS, values, errors)
-    _note_unequal(read, errors)
-    _check_positions(read, values, errors)
+    if not checked:
+        _note_lost(read, np.isfinite(values) & ~np.isfinite(errors))
+        _note_unlikely(read, PARAMETERS, values, errors)
+        _note_unequal(read, errors)
+        _check_positions(read, values, errors)
     present = np.isfinite(values) & np.isfinite(errors)
     further = _accelerations(read, np.all(present, axis=0), options)
     whole = present if further is None else np.concatenate([present, further[1] > 0.0])
-    correlations = _correlations(read, whole)
+    correlations = _correlations(read, whole, checked)
     if correlations is None and np.any(np.all(present, axis=0)):
         read.notes.append("no correlations of the five parameters: they count as 0")
     epoch = _epochs(read, options)
@@ -260,7 +266,7 @@ def astrometric_table(table: Any, where: str, digest: str, options: TableOptions
         **_calibrators(read),
     )
     try:
-        core.kinds(astrometry)
+        core.kind_numbers(astrometry)
     except ValueError as error:
         read.problems.append(str(error))
     names = _names(read)
@@ -509,7 +515,7 @@ def put_vector(read: Columns, new: Mapping[str, Array]) -> str:
     return name
 
 
-def _correlations(read: Columns, present: Flags) -> Array | None:
+def _correlations(read: Columns, present: Flags, checked: bool) -> Array | None:
     """Return the correlations (10 or 36, N), 0 unless both parameters are ``present`` (5 or 9, N); None if there are
     none.
     """
@@ -540,6 +546,8 @@ def _correlations(read: Columns, present: Flags) -> Array | None:
     zero = f"no {first_of(absent, 5)}: a correlation without a column counts as 0" if absent else ""
     read.notes += [zero] if zero else []
     zero += "of corr_vec, the columns of the upper triangle one after the other" if vector else ""
+    if checked:
+        return correlations
     acting = correlations.any(axis=1)  # parameters that are correlated with none change nothing
     used, at = np.unique([first[acting], second[acting]], return_inverse=True)
     matrices, (i, j) = np.tile(np.eye(len(used)), (len(read), 1, 1)), at.reshape(2, -1)
