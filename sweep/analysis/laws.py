@@ -174,17 +174,14 @@ class Lines:
         return result
 
 
-def lines(
-    dataset: xr.Dataset, variable: str, over: str, covariance: xr.DataArray | None = None, least: int = 2
-) -> Lines:
+def lines(dataset: xr.Dataset, variable: str, over: str, least: int = 2) -> Lines:
     """Return a quantity along an axis, for every combination of the others.
 
-    ``covariance`` takes the place of NAME_mc_covariance_OVER in the dataset.  Points that the study excludes do not
-    belong to a line, and a line may have none.  Raises SweepError for an unknown quantity or axis, points that are not
-    done, values that are not finite, and lines of fewer than ``least`` points.
+    Points that the study excludes do not belong to a line, and a line may have none.  Raises SweepError for an unknown
+    quantity or axis, points that are not done, values that are not finite, and lines of fewer than ``least`` points.
     """
     quantity.require_axis(dataset, variable, over)
-    made = lines_of(dataset, variable, over, covariance, least)
+    made = lines_of(dataset, variable, over, least)
     quantity.require_done(dataset)
     for line in made.lines:
         bad, n = ~np.isfinite(line.y), len(line.x)
@@ -197,9 +194,7 @@ def lines(
     return made
 
 
-def lines_of(
-    dataset: xr.Dataset, variable: str, over: str, covariance: xr.DataArray | None = None, least: int = 2
-) -> Lines:
+def lines_of(dataset: xr.Dataset, variable: str, over: str, least: int = 2) -> Lines:
     """Return a quantity along an axis like `lines`, but with points that are not done.
 
     Where ``least`` is above 1, points at which the axis has no effect belong to no line.  The ``samples`` of a line are
@@ -210,13 +205,6 @@ def lines_of(
     if dimension == POINT:  # a table may repeat a point
         dataset = dataset.isel({dimension: np.unique(dataset[over].values, return_index=True)[1]})
     others = tuple(str(d) for d in dataset[variable].dims if d != dimension)
-    if covariance is not None:
-        name = f"{variable}_{quantity.COVARIANCE_SUFFIX}_{dimension}"
-        unfit = {d for d in pair if d not in covariance.coords and covariance.sizes.get(d) != dataset.sizes[dimension]}
-        if unfit | set(covariance.dims) - {*others, *pair}:
-            needed = f"{' and '.join(pair)} of one length, and no more"
-            raise SweepError(f"{name} is {dict(covariance.sizes)}: it needs {needed}")
-        dataset = dataset.drop_dims(pair[1], errors="ignore").assign({name: covariance})
     covariance = quantity.covariance_along(dataset, variable, dimension)
     if covariance is not None:
         covariance = covariance.isel({pair[1]: quantity.places_of_others(dataset, variable, dimension)})
@@ -266,9 +254,7 @@ def _errors_in_words(made: Sequence[Line], dimension: str, known: bool, samples:
 # Laws
 
 
-def fit_power_law(
-    dataset: xr.Dataset, variable: str, over: str, expected: float | None = None, covariance: xr.DataArray | None = None
-) -> xr.Dataset:
+def fit_power_law(dataset: xr.Dataset, variable: str, over: str, expected: float | None = None) -> xr.Dataset:
     """Fit variable = amplitude (over / pivot)^exponent along an axis, for every combination of the other axes.
 
     Args:
@@ -276,9 +262,9 @@ def fit_power_law(
         variable: the name of an output.
         over: the axis.
         expected: the expected exponent; by default that of a claim of the study.
-        covariance: the covariance of the variable's points, with dimensions (..., over, over_other); that of the
-            dataset by default.  Without it the errors of points that share random numbers are NaN; other points are
-            weighted by their Monte-Carlo errors, and left out where these are not known.
+
+    Points are weighted by their Monte-Carlo errors, and left out where these are not known.  The errors of a law of
+    points that share random numbers are NaN unless the dataset has their covariance, NAME_mc_covariance_OVER.
 
     Returns:
         A dataset over the other axes with the variables ``exponent`` and ``amplitude`` with ``_error``, their
@@ -296,7 +282,7 @@ def fit_power_law(
         >>> round(float(fit["exponent"].mean()), 2), round(float(fit["exponent_error"].mean()), 2)
         (-0.51, 0.04)
     """
-    made = lines(dataset, variable, over, covariance)
+    made = lines(dataset, variable, over)
     if not_above := [x for line in made.lines for x in line.x if not x > 0.0]:
         raise SweepError(f"a power law needs {over} above 0; there is {plain(not_above)[0]}")
     rows = _fitted(made, power_law)
@@ -313,9 +299,7 @@ def fit_power_law(
     return made.dataset(rows, [*shown, "conclusion"], notes, result="law", law="power")
 
 
-def fit_levelling(
-    dataset: xr.Dataset, variable: str, over: str, fall: float = 0.05, covariance: xr.DataArray | None = None
-) -> xr.Dataset:
+def fit_levelling(dataset: xr.Dataset, variable: str, over: str, fall: float = 0.05) -> xr.Dataset:
     """Fit variable^2 = plateau^2 + c exp(-rate over), a law that levels off, for every combination of the other axes.
 
     Args:
@@ -323,7 +307,6 @@ def fit_levelling(
         variable: the name of an output.
         over: the axis.
         fall: the fraction by which the variable falls per unit of the axis at the limit.
-        covariance: the covariance of the variable's points, as in `fit_power_law`.
 
     Returns:
         A dataset over the other axes with the variables ``plateau``, ``rate``, ``end_fall`` (relative, per unit of the
@@ -345,7 +328,7 @@ def fit_levelling(
     """
     if not 0.0 < fall < 1.0:
         raise SweepError(f"fall = {fall:g}: must be above 0 and below 1, a fraction")
-    made = lines(dataset, variable, over, covariance, least=LEVELLING_POINTS)
+    made = lines(dataset, variable, over, least=LEVELLING_POINTS)
     rows = _fitted(made, lambda x, y, errors, samples: levelling(x, y, errors, fall, samples))
     for row, line in zip(rows, made.lines, strict=True):
         row["conclusion"] = _levelling_in_words(row, line.x, made.over_unit) if row["points"] else quantity.EXCLUDED
@@ -488,42 +471,16 @@ def parse_limit(text: str) -> Limit:
     return Limit(match["variable"], match["sign"], number, unit)
 
 
-def parse_range(text: str) -> tuple[float, float]:
-    """Return both ends of a range like "50:500", either of which may be left out; raises SweepError."""
-    low, colon, high = text.partition(":")
-    with suppress(ValueError):
-        ends = (float(low or "-inf"), float(high or "inf"))
-        if colon and ends[0] <= ends[1]:
-            return ends
-    raise SweepError(f"{shown(text)}: a range is LOW:HIGH, two numbers of which one may be left out", "--range")
-
-
-def points_where(dataset: xr.Dataset, limit: Limit) -> xr.Dataset:
-    """Return the points of a table or a design at which a condition is met, with all their results.
-
-    Raises SweepError for an unknown quantity, one with further dimensions, and points that are not done.
-    """
-    quantity.require_quantity(dataset, limit.variable)
-    array = quantity.numbers(dataset, limit.variable)
-    if further := ", ".join(str(d) for d in array.dims if d != POINT):
-        raise SweepError(f"{limit.variable} has {further} at each point: fix it with --at, or name it with --over")
-    quantity.require_done(dataset)
-    threshold = limit.number_in(units_of(array.attrs))
-    return dataset.isel({POINT: np.flatnonzero(limit.is_met(array.values, threshold))})
-
-
 # Between points
 
 
-def find(dataset: xr.Dataset, limit: Limit | str, over: str, covariance: xr.DataArray | None = None) -> xr.Dataset:
+def find(dataset: xr.Dataset, limit: Limit | str, over: str) -> xr.Dataset:
     """Return where along an axis a condition is met, for every combination of the other axes.
 
     Args:
         dataset: results, as `linksweep.run` and `linksweep.open` return them.
         limit: a variable, one of < <= > >=, and a number with or without a unit: "sigma_spin < 1 uas/yr".
         over: the axis.
-        covariance: the covariance of the variable's points, with dimensions (..., over, over_other); that of the
-            dataset by default.
 
     Returns:
         A dataset over the other axes with the variables ``met`` (whether and where the condition is met; its
@@ -543,7 +500,7 @@ def find(dataset: xr.Dataset, limit: Limit | str, over: str, covariance: xr.Data
         16.066
     """
     limit = parse_limit(limit) if isinstance(limit, str) else limit
-    made = lines(dataset, limit.variable, over, covariance, least=1)
+    made = lines(dataset, limit.variable, over, least=1)
     thresholds = made.thresholds(limit)
     rows = [_cross(line, limit, thresholds.get(line.unit, np.nan), made.over_unit) for line in made.lines]
     axis = np.unique(quantity.numbers(dataset, over))
@@ -557,9 +514,7 @@ def find(dataset: xr.Dataset, limit: Limit | str, over: str, covariance: xr.Data
     return result
 
 
-def interpolate(
-    dataset: xr.Dataset, variable: str, over: str, at: float, covariance: xr.DataArray | None = None
-) -> xr.Dataset:
+def interpolate(dataset: xr.Dataset, variable: str, over: str, at: float) -> xr.Dataset:
     """Interpolate a variable between the points of an axis, for every combination of the other axes.
 
     Args:
@@ -567,8 +522,6 @@ def interpolate(
         variable: the name of an output.
         over: the axis.
         at: the value of the axis, in its unit.
-        covariance: the covariance of the variable's points, with dimensions (..., over, over_other); that of the
-            dataset by default.
 
     Returns:
         A dataset over the other axes with ``variable`` and ``NAME_mc_error`` (one sigma, from the errors of the points
@@ -586,7 +539,7 @@ def interpolate(
         >>> [round(float(x), 5) for x in between["sigma_spin"]]
         [0.59264, 0.00097]
     """
-    made = lines(dataset, variable, over, covariance)
+    made = lines(dataset, variable, over)
     if not isinstance(at, bool | int | float | np.number) or np.isnan(at):  # a text may be meant in another unit
         raise SweepError(f"{over} = {shown(at)}: must be a number, in the unit of the axis")
     at, rows = float(at), np.full((len(made.lines), 2), np.nan)

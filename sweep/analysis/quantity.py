@@ -482,17 +482,6 @@ def indices(dataset: xr.Dataset, places: Mapping[str, Any]) -> dict[str, list[in
     return {dimension: sorted(hits) for dimension, hits in chosen.items()}
 
 
-def between(dataset: xr.Dataset, axis: str, low: float, high: float) -> xr.Dataset:
-    """Return the part of a dataset where low <= axis <= high; raises SweepError if there is none."""
-    values, texts = dataset[axis].values, plain(dataset[axis].values.tolist())
-    shown = np.array([float(text or "nan") for text in texts])  # as somebody may have read them
-    inside = np.flatnonzero(((values >= low) & (values <= high)) | ((shown >= low) & (shown <= high)))
-    if not inside.size:
-        ends = f"it goes from {texts[np.nanargmin(values)]} to {texts[np.nanargmax(values)]}"
-        raise SweepError(f"{axis} has no value from {' to '.join(plain([low, high]))}; {ends}")
-    return dataset.isel({dataset[axis].dims[0]: inside})
-
-
 def is_meant(value: object, wanted: Any) -> bool:
     """Return whether a label or a value of an axis is what is wanted, perhaps as a text."""
     if is_missing(value):  # where a conditional parameter has no effect

@@ -297,7 +297,6 @@ def fit(
     fall: float | None = opt(
         "Levelling: find where it falls by less per unit.  [default: 5]", type=PERCENT, metavar="PERCENT"
     ),
-    span: str | None = opt("Only points in this range of the axis, 50: or 14:17.", "--range", metavar="LOW:HIGH"),
     at: At = AT,
     as_json: bool = JSON,
 ) -> None:
@@ -308,19 +307,17 @@ def fit(
     \b
     sweep fit results/sqrt-n.zarr --over n_obj --expect -0.5
     sweep fit results/mission-length.zarr --over mission_length --at model=gaia
-    sweep fit radio-stars --range 50: --at reference_error_scale=1
     sweep fit results/quasars.zarr --over v_max --law levelling
     """
-    from linksweep.sweep.analysis import laws, quantity
+    from linksweep.sweep.analysis import quantity
 
     if law == "levelling" and expect is not None:
         raise click.UsageError("--expect is an exponent and goes with --law power")
     if law == "power" and fall is not None:
         raise click.UsageError("--fall goes with --law levelling")
-    with part_of(store, at) as part:
-        variable = variable or quantity.main_quantity(part)
-        over = quantity.require_axis(part, variable, over)
-        dataset = part if span is None else quantity.between(part, over, *laws.parse_range(span))
+    with part_of(store, at) as dataset:
+        variable = variable or quantity.main_quantity(dataset)
+        over = quantity.require_axis(dataset, variable, over)
         if law == "power":
             result = linksweep.fit_power_law(dataset, variable, over, expect)
         else:
@@ -338,8 +335,7 @@ def find(
 ) -> None:
     """Find where in STORE a condition is met along an axis, for every combination of the other axes.
 
-    Between the points of the grid the crossing is interpolated, with the error that follows from theirs.  For a table
-    or a design, whose points are in no order, the points that meet the condition are listed.
+    Between the points of the grid the crossing is interpolated, with the error that follows from theirs.
 
     \b
     sweep find results/quasars.zarr --where "sigma_spin < 1 uas/yr" --over v_max
@@ -349,10 +345,6 @@ def find(
 
     limit = laws.parse_limit(where)
     with part_of(store, at) as dataset:
-        if over is None and len(quantity.varied_parameters(dataset)) > 1:
-            met = laws.points_where(dataset, limit)
-            cli.print_headlines(met, as_json) if as_json or met["status"].size else cli.put(f"no point meets {limit}")
-            return
         result = laws.find(dataset, limit, quantity.require_axis(dataset, limit.variable, over))
     cli.print_result(result, "json" if as_json else "text")
 

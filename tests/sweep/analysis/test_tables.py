@@ -5,14 +5,12 @@ import math
 import re
 
 import numpy as np
-import pytest
 import xarray as xr
 from astropy.table import Table
 from hypothesis import given, settings, strategies as st
 
 import linksweep
-from linksweep.sweep.analysis.quantity import between, indices, select
-from linksweep.sweep.contract import SweepError
+from linksweep.sweep.analysis.quantity import indices, select
 from tests.sweep.analysis.made import answers, grid, shown, text_of
 from tests.tiers import examples
 
@@ -119,13 +117,6 @@ def test_each_component_and_a_bad_condition_are_shown_in_80_columns():
     alone = masers.isel(component=0).assign({n: (("n_obj", "axis"), [sigma]) for n in ("glide", "glide_mc_error")})
     text = text_of(alone.assign_coords(axis=["x", "y", "z"]))  # whose correlations nobody knows
     assert ("glide, n_obj=12: condition number" in text, "correlation" in text) == (True, False)
-
-
-def test_a_range_without_points_names_the_ends_of_an_axis_that_has_no_effect_somewhere():
-    dataset = xr.Dataset(coords={"a": [np.nan, 2.0, 1.0]})
-    assert between(dataset, "a", 1.5, 9.0).a.values.tolist() == [2.0]
-    with pytest.raises(SweepError, match="it goes from 1 to 2"):
-        between(dataset, "a", 5.0, 6.0)
 
 
 def test_a_number_that_many_points_have_is_given_back_as_it_is_shown():

@@ -190,8 +190,6 @@ COMMANDS = [
     *((f"{one} link.zarr", "link.zarr: is a stored link, without points") for one in ("status", "check", "compare")),
     ("show STORE --json --format csv", "--json and --format csv are two formats; name one"),
     *(("compare STORE", "neither published numbers nor claims"), ("fit STORE --law levelling --expect 1", "--expect")),
-    ("fit STORE --range 3", "--range: '3': a range is LOW:HIGH"),
-    ("fit STORE --range 30:40", "coins has no value from 30 to 40; it goes from 1 to 20"),
     ("fit STORE --at metal=lead", "metal = lead is not in the grid, which has gold, tin"),
     ("find STORE --where share=1", "--where: 'share=1': a condition is VARIABLE, one of < <= > >="),
     ("find STORE --where share<1_mas", "share is in no unit, not convertible to mas"),
