@@ -8,7 +8,6 @@ import json
 import logging
 import re
 import shlex
-import subprocess
 import sys
 import traceback
 from collections.abc import Iterator, Sequence
@@ -603,6 +602,8 @@ def submit(
     sweep submit quasars --slurm 100 --sbatch --time=1:00:00
     sweep submit quasars --slurm 100 --go
     """
+    import subprocess
+
     from linksweep.sweep.contract import refused
     from linksweep.sweep.planning.grid import make_grid
     from linksweep.sweep.running.merge import require_free
