@@ -486,8 +486,7 @@ def catalogue_from_table(
         read.require(quantity)
     read.finish()  # columns that are not there are all named before any is read
     ra, dec = read.quantity("ra"), read.quantity("dec")
-    hint = "; are ra and dec swapped?" if np.all(np.abs(ra) <= 90.0) else ""
-    read.check(np.abs(dec) >= 90.0, "a dec that is not between -90 and 90 deg, poles excluded,", dec, hint)
+    read.check(np.abs(dec) >= 90.0, "a dec that is not between -90 and 90 deg, poles excluded,", dec)
     read.check((ra < -180.0) | (ra > 360.0), "an ra that is not between -180 and 360 deg", ra)
     pmra, pmdec = np.zeros((2, len(ra)))
     if moving:

@@ -11,7 +11,6 @@ Source: Metz & Geffert 2004, Sect. 3; the rules of the classes replace the paper
 import io
 import json
 import os
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -46,7 +45,6 @@ CLASSES = ("certain", "uncertain", "supplement")
 RING = (5.0, 10.0)
 
 
-DEFAULTS = SearchOptions()
 DEFAULT_RADIUS_ARCSEC = 5.0
 
 MOTIONS = ("pmra", "pmdec", "pmra_error", "pmdec_error")
@@ -55,15 +53,13 @@ MAGNITUDES = ("vt_mag", "phot_g_mean_mag")
 
 NUMBERS = ("ra", "dec", "ra_error", "dec_error", *MOTIONS, "ref_epoch", *MAGNITUDES)
 TYC = ("TYC1", "TYC2", "TYC3")
-QUANTITIES = (*NUMBERS, *TYC, "TYC", "PGC", "source_id", "name")
+QUANTITIES = (*NUMBERS, *TYC, "PGC", "source_id", "name")
 
 # Largest values.  Source: Hog et al. 2000, the Tycho-2 catalogue (CDS I/259), notes on TYC1-3.
 TYC_LIMITS = {"TYC1": 9537, "TYC2": 12121, "TYC3": 3}
 
 # What stands for a missing identifier, as integers have no NaN.
 MISSING = {**dict.fromkeys((*TYC, "PGC"), 0), "source_id": np.iinfo(np.int64).min, "name": ""}
-
-_TYC_TEXT = re.compile(r"\s*(?:TYC\s*)?(\d{1,9})-(\d{1,9})-(\d{1,9})\s*", re.ASCII)
 
 
 # ---- matches of positions, in rad
@@ -175,15 +171,13 @@ class GalaxyCatalogue:
     radius: float
 
 
-def merge_galaxies(
-    catalogues: Sequence[GalaxyCatalogue], trees: Sequence[KDTree], merge_radius: float | None = None
-) -> tuple[list[Indices], Indices]:
+def merge_galaxies(catalogues: Sequence[GalaxyCatalogue], trees: Sequence[KDTree]) -> tuple[list[Indices], Indices]:
     """Return a galaxy's number for every entry of every catalogue, and the identifier of every galaxy (0 for none).
 
     Entries with the same identifier are one galaxy wherever they stand.  Otherwise an entry is the galaxy of an entry
-    of an earlier catalogue within ``merge_radius`` (rad; by default the sum of both match radii, so that two entries
-    found at one star are one galaxy), one to one and closest first, unless both have identifiers.  ``trees`` are the
-    catalogues' sky trees.  Raises ValueError as `pairs_within`.
+    of an earlier catalogue within the sum of both match radii (so that two entries found at one star are one galaxy),
+    one to one and closest first, unless both have identifiers.  ``trees`` are the catalogues' sky trees.  Raises
+    ValueError as `pairs_within`.
     """
     labels: list[Indices] = []
     known = np.empty(0, dtype=np.int64)  # identifier of each galaxy so far
@@ -194,8 +188,7 @@ def merge_galaxies(
         names, _ = pd.factorize(np.where(identifier > 0, identifier, -1 - np.arange(len(identifier))))
         links = []
         for earlier, earlier_tree, earlier_label in zip(catalogues, trees, labels, strict=False):
-            radius = earlier.radius + catalogue.radius if merge_radius is None else merge_radius
-            at, entry, offset = pairs_within(earlier_tree, tree, radius)
+            at, entry, offset = pairs_within(earlier_tree, tree, earlier.radius + catalogue.radius)
             there = earlier.positions.take(at)
             columns = {"offset": offset, "dec": there.dec, "ra": there.ra, "galaxy": earlier_label[at], "entry": entry}
             links.append(pd.DataFrame(columns))
@@ -253,7 +246,7 @@ class Matches:
 
 
 def cross_match(
-    stars: Positions, supplement: Flags, catalogues: Sequence[GalaxyCatalogue], asked: SearchOptions = DEFAULTS
+    stars: Positions, supplement: Flags, catalogues: Sequence[GalaxyCatalogue], asked: SearchOptions
 ) -> Matches:
     """Return the one-to-one matches of stars with galaxies, with their class.
 
@@ -261,10 +254,9 @@ def cross_match(
     The result does not depend on the order of rows: pairs at equal offset are ordered by the place of their
     catalogue, then by position and identifier.  Raises ValueError as `pairs_within`.
     """
-    merge_radius = None if asked.merge_radius is None else asked.merge_radius * ARCSEC
     star_tree, trees = sky_tree(stars), [sky_tree(catalogue.positions) for catalogue in catalogues]
     within = [pairs_within(star_tree, tree, c.radius) for tree, c in zip(trees, catalogues, strict=True)]
-    labels, identifiers = merge_galaxies(catalogues, trees, merge_radius)
+    labels, identifiers = merge_galaxies(catalogues, trees)
     each = []
     for place, ((star, entry, offset), label, catalogue) in enumerate(zip(within, labels, catalogues, strict=True)):
         galaxy, (ra, dec, ra_error, dec_error) = label[entry], catalogue.positions.take(entry)
@@ -439,8 +431,7 @@ def _read_positions(read: Columns, error_arcsec: float | None) -> dict[str, Arra
     if len(columns) == 2:
         ra, dec = columns["ra"], columns["dec"]
         read.check((ra < 0.0) | (ra > 360.0), "an ra outside 0..360 deg", ra)
-        swapped = "; are ra and dec swapped?" if np.all(np.abs(ra) <= 90.0) else ""
-        read.check(np.abs(dec) > 90.0, "a dec outside -90..90 deg", dec, swapped)
+        read.check(np.abs(dec) > 90.0, "a dec outside -90..90 deg", dec)
     for key in ("ra_error", "dec_error"):
         if error_arcsec is not None:
             columns[key] = np.full(len(read), 1000.0 * error_arcsec)
@@ -476,17 +467,11 @@ def _read_motions(read: Columns, missing_pm: str, ref_epoch: float | None) -> di
 
 
 def _read_tyc(read: Columns) -> dict[str, Any]:
-    """Return the Tycho identifiers from three columns or one of text, nothing for a table without them."""
+    """Return the Tycho identifiers from three columns, nothing for a table without them."""
     known = len(read.problems)
-    if any(read.has(key) for key in TYC):
-        tyc = pd.DataFrame({key: read.integers(key) for key in TYC if read.require(key)})
-    elif read.has("TYC"):
-        matches = [_TYC_TEXT.fullmatch(text) for text in read.text(str(read.name("TYC")), missing="")]
-        bad = np.array([one is None for one in matches])
-        read.check(bad, f"a {read.label('TYC')} that is no Tycho identifier like '1-13-1'")
-        tyc = pd.DataFrame([list(map(int, one.groups())) for one in matches if one], columns=list(TYC))
-    else:
+    if not any(read.has(key) for key in TYC):
         return {}
+    tyc = pd.DataFrame({key: read.integers(key) for key in TYC if read.require(key)})
     if len(read.problems) > known:
         return {}
     for key, limit in TYC_LIMITS.items():
@@ -547,7 +532,7 @@ def find_galaxies(
         contents[output] = records(matches).ecsv().encode()
     if table is not None:
         if without := [path for name, path in search.stars.items() if TYC[0] not in result.stars[name]]:
-            needed = "the 46-byte table needs columns TYC1, TYC2 and TYC3, or TYC with strings like '1-13-1'"
+            needed = "the 46-byte table needs columns TYC1, TYC2 and TYC3"
             raise SweepError([f"{path}: {needed}" for path in without])
         contents[table] = galaxy_table(matches.drop_dims("entry").to_dataframe()).encode("ascii")
     if figure is not None:
@@ -688,7 +673,7 @@ def summarise(result: SearchResult, columns: pd.DataFrame) -> dict[str, Any]:
         "reasons": {name: int(doubt.sum()) for name, doubt in matches.reasons.items()},
         "magnitude": magnitude,
         **{name: getattr(asked, name) for name in ("epoch", "k_sigma", "crowding_stars")},
-        **{f"{name}_arcsec": getattr(asked, name) for name in ("crowding_radius", "merge_radius")},
+        "crowding_radius_arcsec": asked.crowding_radius,
         "epoch_difference_yr": asked.epoch_difference,
         "second_epoch_error_mas": asked.second_epoch_error,
         "notes": notes,

@@ -17,15 +17,14 @@ from tests.tiers import examples
 grid_sky = st.lists(st.tuples(st.integers(0, 12), st.integers(0, 3), st.integers(0, 4)), min_size=1, max_size=12)
 MERGED = [
     # an identifier decides before the position
-    ([([10.0, 10.001], 3.0, [5, 6]), ([10.001, 70.0], 3.0, [5, 6])], None, [[0, 1], [0, 1]], [5, 6]),
-    ([([10.0], 3.0, [5]), ([10.0], 3.0, [6])], None, [[0], [1]], [5, 6]),
-    # entries within 3" + 2" are one galaxy and share the identifier, unless a smaller radius is named
-    ([([10.0, 50.0], 3.0, [0, 0]), ([50.0 + 4 / 3600, 90.0], 2.0, [7, 8])], None, [[0, 1], [1, 2]], [0, 7, 8]),
-    ([([10.0, 50.0], 3.0, [0, 0]), ([50.0 + 4 / 3600, 90.0], 2.0, [7, 8])], 3.9, [[0, 1], [2, 3]], [0, 0, 7, 8]),
+    ([([10.0, 10.001], 3.0, [5, 6]), ([10.001, 70.0], 3.0, [5, 6])], [[0, 1], [0, 1]], [5, 6]),
+    ([([10.0], 3.0, [5]), ([10.0], 3.0, [6])], [[0], [1]], [5, 6]),
+    # entries within 3" + 2" are one galaxy and share the identifier
+    ([([10.0, 50.0], 3.0, [0, 0]), ([50.0 + 4 / 3600, 90.0], 2.0, [7, 8])], [[0, 1], [1, 2]], [0, 7, 8]),
     # an entry gives its identifier to the galaxy at its place, and others have it too
-    ([([10.0], 3.0, [0]), ([10.0 + 1 / 3600, 50.0], 3.0, [7, 7])], None, [[0], [0, 0]], [7]),
+    ([([10.0], 3.0, [0]), ([10.0 + 1 / 3600, 50.0], 3.0, [7, 7])], [[0], [0, 0]], [7]),
     # one without identifier links the third catalogue too
-    ([([10.0], 1.0, [0]), ([10.0 + 1.5 / 3600], 1.0, [0]), ([10.0 + 3 / 3600], 1.0, [9])], None, [[0]] * 3, [9]),
+    ([([10.0], 1.0, [0]), ([10.0 + 1.5 / 3600], 1.0, [0]), ([10.0 + 3 / 3600], 1.0, [9])], [[0]] * 3, [9]),
 ]
 
 
@@ -109,7 +108,7 @@ def on_grid(points, radius=0.0):
 
 def matched(stars, catalogues):
     """The matches as positions, which do not depend on the order of rows; nothing is matched twice."""
-    matches = cross_match(stars, np.zeros(len(stars.ra), dtype=bool), catalogues)
+    matches = cross_match(stars, np.zeros(len(stars.ra), dtype=bool), catalogues, SearchOptions())
     for column in (matches["star"], matches["galaxy"], matches["identifier"][matches["identifier"] > 0]):
         assert len(set(column.tolist())) == len(column)
     assert matches.found_in[np.arange(len(matches.table)), matches["catalogue"]].all()
@@ -128,11 +127,11 @@ def test_nothing_is_matched_twice_and_the_order_of_rows_does_not_matter(a, b, c,
     assert found == again
 
 
-@pytest.mark.parametrize(("catalogues", "merge", "labels", "identifiers"), MERGED)
-def test_entries_of_several_catalogues_are_one_galaxy(catalogues, merge, labels, identifiers):
+@pytest.mark.parametrize(("catalogues", "labels", "identifiers"), MERGED)
+def test_entries_of_several_catalogues_are_one_galaxy(catalogues, labels, identifiers):
     listed = [catalogue(positions(ra, np.zeros(len(ra))), radius, names) for ra, radius, names in catalogues]
     trees = [sky_tree(one.positions) for one in listed]
-    found, names = crossmatch.merge_galaxies(listed, trees, None if merge is None else merge * ARCSEC)
+    found, names = crossmatch.merge_galaxies(listed, trees)
     assert ([label.tolist() for label in found], names.tolist()) == (labels, identifiers)
 
 
@@ -144,7 +143,7 @@ def test_each_rule_of_the_classes_in_a_search():
     stars = concatenated(positions(ra, np.zeros(5), 0.3), crowd, second)
     galaxies = positions(ra, np.array([1.45, 0.0, 2.0, 0.0, 0.0]) / 3600.0, 0.4)._replace(ra_error=np.full(5, ARCSEC))
     supplement = np.arange(len(stars.ra)) == 4
-    matches = cross_match(stars, supplement, [catalogue(galaxies, 5.0)])
+    matches = cross_match(stars, supplement, [catalogue(galaxies, 5.0)], SearchOptions())
     assert matches["star"].tolist() == [0, 1, 2, 3, 4]
     assert matches["class"].tolist() == ["certain", "uncertain", "uncertain", "uncertain", "supplement"]
     doubts = pd.DataFrame({"crowded": [0, 1, 0, 0, 0], "offset": [0, 0, 1, 0, 0], "rival": [0, 0, 0, 1, 0]}, dtype=bool)
@@ -160,7 +159,7 @@ def test_each_rule_of_the_classes_in_a_search():
 def test_local_chance_pairs_follow_the_crowding():
     rng = np.random.default_rng(7)
     stars, galaxies = (sky(rng, 20_000, sines=(0.0, 0.2)) for _ in "sg")
-    chance = cross_match(stars, np.zeros(20_000, dtype=bool), [catalogue(galaxies, 30.0)]).chance[0]
+    chance = cross_match(stars, np.zeros(20_000, dtype=bool), [catalogue(galaxies, 30.0)], SearchOptions()).chance[0]
     np.testing.assert_allclose(chance["chance_pairs_uniform"], 4e8 * np.sin(15.0 * ARCSEC) ** 2)
     local, error = chance["chance_pairs_local"], chance["chance_pairs_local_error"]
     assert abs(local - 10.0 * chance["chance_pairs_uniform"]) < 5.0 * error
