@@ -166,8 +166,7 @@ class Drawing:
         assert self.source is not None, "asked for before"
         store = store_named(self.source)
         if self.kind == "sky":
-            is_table = Path(self.source).is_file()
-            objects = sky.catalogue_of_table(Path(self.source)) if is_table else sky.catalogue_of_point(store, self.at)
+            objects = sky.catalogue_of_point(store, self.at)
             return sky.sky_figure(objects), objects
         chosen = self.kind, self.variables, self.over, self.log, self.linear
         if (link := cli.link_in(store, self.at)) is not None:

@@ -6,7 +6,6 @@ it, where the dataset lacks what it shows.
 
 from collections.abc import Sequence
 from itertools import combinations
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,7 +29,6 @@ from linksweep.sweep.stores.location import Where
 from linksweep.sweep.stores.store import OpenStore
 from linksweep.sweep.studies.reader import parse_places
 from linksweep.sweep.studies.study import Study
-from linksweep.sweep.tables.columns import table_file
 
 MAGNITUDE = {"units": "mag", "long_name": "magnitude V", "symbol": "$V$"}
 SKY_WIDTH = 45.0  # letters that a map of the sky is wide at least
@@ -144,23 +142,9 @@ def catalogue_of_point(store: Where, at: Sequence[str]) -> xr.Dataset:
     _, rng = generators(study.sampling.seed, point.stream, 0, 0)
     catalogue = scenario(point.parameters).draw_catalogue.draw(rng)
     title = f"{study.title}: the {len(catalogue)} objects of one catalogue"
-    sky = _sky(catalogue.ra / DEGREE, catalogue.dec / DEGREE, ", ".join([title, *at]))
-    return sky.assign(v_mag=("object", catalogue.v_mag, MAGNITUDE))
-
-
-def catalogue_of_table(path: Path) -> xr.Dataset:
-    """Return the positions in a table as ra, dec (deg); raises SweepError if there are none."""
-    read = table_file(path).columns({}, {}, ())
-    if all([read.require("ra"), read.require("dec")]):
-        ra, dec = read.quantity("ra"), read.quantity("dec")
-        read.check(np.abs(dec) > 90.0, "a dec beyond 90 deg", dec)
-    read.finish()
-    return _sky(ra, dec, f"{path.name}: {len(ra)} objects")
-
-
-def _sky(ra_deg: Array, dec_deg: Array, title: str) -> xr.Dataset:
-    degrees = {"units": "deg"}
-    return xr.Dataset({"ra": ("object", ra_deg, degrees), "dec": ("object", dec_deg, degrees)}, attrs={"title": title})
+    places = {name: ("object", getattr(catalogue, name) / DEGREE, {"units": "deg"}) for name in ("ra", "dec")}
+    columns = places | {"v_mag": ("object", catalogue.v_mag, MAGNITUDE)}
+    return xr.Dataset(columns, attrs={"title": ", ".join([title, *at])})
 
 
 # The accuracy of missions

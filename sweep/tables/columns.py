@@ -513,14 +513,11 @@ def rows_where(table: Any, condition: str, where: str = "", may_be_none: bool = 
     """
     read = Columns(table, where)
     try:
-        tree = _parsed(condition)
-        flags = _flags(tree, read)
+        flags = _flags(_parsed(condition), read)
     except (ValueError, RecursionError, MemoryError, OverflowError) as error:
         raise SweepError(f"where {condition!r}: {error}; {_ALLOWED}", where) from None
     if not flags.any() and not may_be_none:
-        names = dict.fromkeys(node.id for node in ast.walk(tree) if isinstance(node, ast.Name))
-        spans = ", ".join(f"{name} is {_span(_column(name, read))}" for name in names)
-        raise SweepError(f"where {condition!r} keeps none of {len(read)} rows; {spans}", where)
+        raise SweepError(f"where {condition!r} keeps none of {len(read)} rows", where)
     return flags
 
 
@@ -579,9 +576,8 @@ def _flags(node: ast.expr, read: Columns) -> Flags:
         is_in = isinstance(comparison, (ast.In, ast.NotIn))
         right, compare = _operand(other, read, is_in), _COMPARISONS.get(type(comparison))
         if compare is None or (left.kind != right.kind and "text" in (left.kind, right.kind)):
-            none = "; None is where not {0} == {0}".format(ast.unparse(node.left)) if np.any(left.missing) else ""
-            hint = f" (text is in quotes, '1'{none})" if "text" in (left.kind, right.kind) else ""
-            raise ValueError(f"{left.kind} cannot be compared with {right.kind} in this way{hint}, {ast.unparse(node)}")
+            said = f"{left.kind} cannot be compared with {right.kind} in this way (text is in quotes, '1')"
+            raise ValueError(f"{said}, {ast.unparse(node)}")
         flags &= compare(left.values, right.values) & np.logical_not(left.missing | right.missing)
         left = right
     return flags
@@ -609,11 +605,6 @@ def _column(asked: str, read: Columns) -> _Operand:
         values = read.text(name, missing="")
         missing = missing | (values == "")
     return _Operand(values, missing)
-
-
-def _span(column: _Operand) -> str:
-    there = np.sort(column.values[~column.missing]).tolist()
-    return f"{there[0]} to {there[-1]}" if there else "missing in all"
 
 
 # ---- a table in a file as the value of a parameter: known by its content, read where it is needed

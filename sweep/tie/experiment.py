@@ -31,6 +31,7 @@ UNITS = _STORED.units
 ORIENTATION, SPIN = slice(0, 3), slice(3, 6)
 
 FIELD_UNITS = tuple("mas2/yr2" if field.startswith("motion") else "mas2" for field in FIELDS)
+MAGNITUDE = "phot_g_mean_mag"
 HIGHEST_STORED = 10
 MOST_BINS = 10
 POWER_SHAPE, BIN_SHAPE = (len(FIELDS), HIGHEST_STORED), (MOST_BINS, 3)
@@ -45,9 +46,7 @@ PARAMETERS = (
     *(replace(one, default="orientation,spin") if one.name == "unknowns" else one for one in OF_TABLES),
     Parameter("known_spin_table", "file", None, "a spin by magnitude that is subtracted, instead of known_spin"),
     Parameter("correlations", "bool", True, "whether the errors have the correlations of the tables"),
-    Parameter("g_min", "float", None, "brightest magnitude; default no limit", "mag"),
-    Parameter("g_max", "float", None, "faintest magnitude; default no limit", "mag"),
-    Parameter("magnitude", "str", "phot_g_mean_mag", "the satellite's column of magnitudes"),
+    Parameter("g_max", "float", None, "faintest phot_g_mean_mag; default no limit", "mag"),
     *(parameter(one) for one in declared(STUDY, ForecastOptions)),
     Parameter("n_new", "int", 0, "sources with one new position, those that help most", minimum=0),
     replace(setup.DECLARED["epoch"], name="new_epoch", meaning="of new positions; default that of the source"),
@@ -76,7 +75,7 @@ def _fixed(name: str, unit: str, meaning: str, dims: tuple[str, ...] = (), *erro
 _RMS, _WITHIN, _AS_IS = "RMS of estimate - truth of the draws", "error of the truth", "of the tables as they are"
 # Outputs that no draw changes.
 OF_TABLES_ALONE = (
-    Output("n_sources", "", "matched sources of the tables, within g_min and g_max"),
+    Output("n_sources", "", "matched sources of the tables, not fainter than g_max"),
     _fixed("n_kept", "", f"sources that the clip keeps, {_AS_IS}"),
     _fixed(
         *("estimate", _UNITS, "solution of the tables as they are, reference - satellite", _EACH),
@@ -127,13 +126,12 @@ COORDINATES: Mapping[str, tuple[str, ...]] = {
     "bin": tuple(str(number) for number in range(1, MOST_BINS + 1)),
     "axis": ("x", "y", "z"),
 }
-N = len(COMPONENTS)
 # Their sums are these outputs times the number of draws.
 FIXED = {one.name: tuple(len(COORDINATES[dim]) for dim in one.dims) for one in OF_TABLES_ALONE}
 
 SUMS: Mapping[str, tuple[int, ...]] = {
     **FIXED,
-    **dict.fromkeys(("predicted_variance", "bias", "bias_squares", "coverage", "coverage_scaled"), (N,)),
+    **dict.fromkeys(("predicted_variance", "bias", "bias_squares", "coverage", "coverage_scaled"), (len(COMPONENTS),)),
     **dict.fromkeys(("mean_square", "mean_square_squares"), (2,)),
     **dict.fromkeys(("power_drawn_predicted", "power_drawn", "power_drawn_squares"), POWER_SHAPE),
     **dict.fromkeys(("bins_variance", "bins_squares"), BIN_SHAPE),
@@ -174,7 +172,7 @@ def by_bins(unknowns: Unknowns, values: Array) -> Array:
 
 # Parameters that do not decide which rows belong to which sources.
 LATER = (
-    *("clip", "correlations", "g_min", "g_max", "magnitude", "release", "from_release", "n_new", "new_epoch", "goal"),
+    *("clip", "correlations", "g_max", "release", "from_release", "n_new", "new_epoch", "goal"),
     *("new_error", "new_positions", "accept_misfit", "truth", "error_factor", "outliers", "outlier_factor"),
 )
 DECIDING = tuple(parameter.name for parameter in PARAMETERS if parameter.name not in LATER)
@@ -254,18 +252,15 @@ def _plain(value: Any) -> Any:
 
 
 def _within(whole: setup.Setup, point: Mapping[str, Any]) -> setup.Setup:
-    """Leave out the sources outside the limits of magnitude; if there is a limit, also those without a magnitude."""
-    low, high, column = point["g_min"], point["g_max"], point["magnitude"]
-    if low is None and high is None:
+    """Leave out the sources that are fainter than a limit, and with it those without a magnitude."""
+    if point["g_max"] is None:
         return whole
     columns = whole.problem.satellite.columns
-    if column not in columns:
-        known = ", ".join(columns) or "none"
-        raise SweepError(f"magnitude = {column!r}: the satellite has no such column of numbers; there are {known}")
-    magnitude = columns[column]
-    kept = (magnitude >= (-np.inf if low is None else low)) & (magnitude <= (np.inf if high is None else high))
+    if MAGNITUDE not in columns:
+        raise SweepError(f"g_max: the satellite has no column of numbers {MAGNITUDE}")
+    kept = columns[MAGNITUDE] <= point["g_max"]
     if not np.any(kept):
-        raise SweepError(f"no source has a {column} within the limits g_min and g_max")
+        raise SweepError(f"g_max = {point['g_max']:g}: no source is that bright")
     return whole.only(np.flatnonzero(kept))
 
 
@@ -435,7 +430,7 @@ def warn(point: Point) -> list[str]:
 
 def unused(point: Point) -> dict[str, str]:
     """Return the parameters that change nothing at a point, each with a clause that says why."""
-    reference, limits = point["reference"] is not None, point["g_min"] is not None or point["g_max"] is not None
+    reference = point["reference"] is not None
     at_rest = point["zero_motion"] or "reference" in listed(point["extragalactic"])
     needs = (
         (reference, "there is no reference", "reference_.*|positions|by|aberration"),
@@ -443,7 +438,6 @@ def unused(point: Point) -> dict[str, str]:
         (point["release"] != TABLE, "it is for a release", "from_release"),
         (not at_rest, "positions of quasars hold at any epoch", "new_epoch|new_positions"),
         (point["n_new"] > 0, "it is for n_new above 0", "new_.*|goal|candidates"),
-        (limits, "it is for g_min or g_max", "magnitude"),
         (point["outliers"] > 0.0, "it is for outliers above 0", "outlier_factor"),
     )
     without = [(why, names) for used, why, names in needs if not used]
