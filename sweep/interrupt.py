@@ -51,9 +51,8 @@ class Interruptions:
     """The signals that stop a run: the first raises KeyboardInterrupt, the second is handled as before the run.
 
     Python drops a KeyboardInterrupt that arrives in a finaliser or in a callback of its import system, and libraries
-    drop some while they are imported.  So it is raised again until it gets through; a callback of the garbage collector
-    is let finish, since Dask's fails ever after if it was interrupted.  This does not work if the caller runs
-    everything inside an ``except`` block: there a dropped interrupt looks like one that is being handled.
+    drop some while they are imported.  So it is raised again until it gets through.  This does not work if the caller
+    runs everything inside an ``except`` block: there a dropped interrupt looks like one that is being handled.
     """
 
     def __init__(self) -> None:
@@ -90,7 +89,7 @@ class Interruptions:
                 if sys.unraisablehook == self._unraisable:
                     sys.unraisablehook = self._unraisable_before
 
-    def _answer(self, number: int, frame: FrameType | None) -> None:
+    def _answer(self, number: int, _frame: FrameType | None) -> None:
         if self.received is not None and not self._lost:
             signal.signal(number, self.before.pop(number))
             signal.raise_signal(number)
@@ -98,7 +97,7 @@ class Interruptions:
         if self.received is None:
             threading.Thread(target=self._send_again, args=(number,), daemon=True).start()
         self.received, self._lost, self._owed = number, False, self._holding
-        if not self._holding and not _is_called_by_the_collector(frame):
+        if not self._holding:
             raise KeyboardInterrupt
 
     def _send_again(self, number: int) -> None:
@@ -152,16 +151,6 @@ def _is_handling(thread: int) -> bool:
         if collects:
             gc.enable()
     return (raised[0] if isinstance(raised, tuple) else raised) is not None  # a tuple of three in Python 3.11
-
-
-def _is_called_by_the_collector(frame: FrameType | None) -> bool:
-    """Return whether a frame is that of a callback of the garbage collector, or below one."""
-    callbacks = {getattr(getattr(callback, "__func__", callback), "__code__", None) for callback in gc.callbacks}
-    while frame is not None:
-        if frame.f_code in callbacks:
-            return True
-        frame = frame.f_back
-    return False
 
 
 @contextmanager

@@ -629,12 +629,11 @@ def print_headlines(dataset: Any, as_json: bool) -> None:
 
 
 def drawing_styles() -> Any:
-    """Return `linksweep.sweep.plots.style`; raises click.UsageError where matplotlib, which it needs, is missing."""
-    try:
-        from linksweep.sweep.plots import style
-    except ImportError as error:
-        raise click.UsageError(f"drawing needs matplotlib: pip install 'linksweep[plot]' ({error})") from error
-    return style
+    """Return `linksweep.sweep.plots.style`; raises SweepError where matplotlib, which it needs, is missing."""
+    from linksweep.sweep.contract import needed
+
+    with needed("matplotlib", "plot"):
+        return import_module("linksweep.sweep.plots.style")
 
 
 def require_writable(path: Path) -> None:

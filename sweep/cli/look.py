@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -262,6 +263,14 @@ class AskedStores:
         return [store for _, store in places.values()]
 
 
+def _pages() -> Any:
+    """Return `linksweep.sweep.report.page`; raises SweepError where a package that it needs is missing."""
+    from linksweep.sweep.contract import needed
+
+    with needed("more packages", "report"):
+        return import_module("linksweep.sweep.report.page")
+
+
 @cli.command("Look", "Write one HTML page with everything")
 def report(
     asked: AskedStores = cli.group(AskedStores),
@@ -276,13 +285,10 @@ def report(
     sweep report results/quasars.zarr
     sweep report --all -o paper.html
     """
-    try:
-        from linksweep.sweep.report.page import check_output, default_path, report_of, write_report
-    except ImportError as error:
-        raise click.UsageError(f"a report needs more packages: pip install 'linksweep[report]' ({error})") from error
-    path = output or (Path("paper-report.html") if asked.everything else default_path(asked.stores))
-    check_output(path)
-    write_report(report_of(asked.whole()), path)
+    page = _pages()
+    path = output or (Path("paper-report.html") if asked.everything else page.default_path(asked.stores))
+    page.check_output(path)
+    page.write_report(page.report_of(asked.whole()), path)
     cli.wrote(path)
 
 
@@ -445,11 +451,7 @@ def watch(
 
 
 def _on_a_page(stores: "Iterable[Location]", interval: float) -> None:
-    try:
-        from linksweep.sweep.report.page import serve
-    except ImportError as error:
-        raise click.UsageError(f"a page needs more packages: pip install 'linksweep[report]' ({error})") from error
-    serve(stores, interval, lambda address: click.echo(f"{address}\nCtrl-C ends it", err=True))
+    _pages().serve(stores, interval, lambda address: click.echo(f"{address}\nCtrl-C ends it", err=True))
 
 
 def _in_the_terminal(stores: "Iterable[Location]", interval: float) -> None:

@@ -61,12 +61,14 @@ class SweepError(Exception):
 
 
 @contextmanager
-def refused(*errors: type[Exception], said: str = "", where: object = "") -> Iterator[None]:
-    """Turn errors of some types into a SweepError about a place with their text, behind what is ``said`` before it."""
+def refused(*errors: type[Exception], said: str = "", where: object = "", more: str = "") -> Iterator[None]:
+    """Turn errors of some types into a SweepError about a place with their text, between what is ``said`` before it and
+    ``more`` after it.
+    """
     try:
         yield
     except errors as error:
-        raise SweepError(f"{said}{error}", str(where)) from error
+        raise SweepError(f"{said}{getattr(error, 'strerror', None) or error}{more}", str(where)) from error
 
 
 def needed(package: str, extra: str, where: object = "") -> AbstractContextManager[None]:

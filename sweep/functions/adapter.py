@@ -554,7 +554,5 @@ def experiment_of_record(record: Mapping[str, Any], parameters: tuple[Parameter,
 def layout_of_record(record: Mapping[str, Any]) -> results.Layout | None:
     """Return the layout of results that a store has recorded; None where there is none."""
     layout = record.get("function", {}).get("layout")
-    try:
+    with rules.refused(ValueError, said="the record of its experiment cannot be read: "):
         return None if layout is None else results.layout_of_json(layout)
-    except ValueError as error:
-        raise SweepError(f"the record of its experiment cannot be read ({error})") from error

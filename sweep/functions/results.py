@@ -621,6 +621,4 @@ def _check_finite(arrays: Sequence[NDArray[Any]], layout: Layout, declared: Decl
         )
     except NotFiniteError as error:
         hint = "declare Output(..., nan=True) where that is a value"
-        if any(len(field.dims) > 1 for field in layout.fields):
-            hint += ", or what a MultiIndex of pandas lacks"
         raise NotFiniteError(f"{declared.function}: {error} ({hint})") from error

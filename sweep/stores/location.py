@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 from uuid import uuid4
 
-from linksweep.sweep.contract import SweepError, needed
+from linksweep.sweep.contract import SweepError, needed, refused
 
 if TYPE_CHECKING:
     from obstore.store import S3Store
@@ -489,13 +489,9 @@ def located(where: Where) -> Location:
     return Folder(Path(os.path.expanduser(Path(where))))  # a home that nobody has is a name
 
 
-@contextmanager
-def reading(location: Location | Path, failed: str = "cannot be read", more: str = "") -> Iterator[None]:
+def reading(location: Location | Path, failed: str = "cannot be read", more: str = "") -> AbstractContextManager[None]:
     """Turn an OSError into a SweepError that says that a store or a file cannot be read, or what else has failed."""
-    try:
-        yield
-    except OSError as error:
-        raise SweepError(f"{failed}: {error.strerror or error}{more}", str(location)) from error
+    return refused(OSError, said=f"{failed}: ", where=location, more=more)
 
 
 def writing(location: Location) -> AbstractContextManager[None]:

@@ -19,7 +19,17 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from linksweep.sweep.code import Code, absolute_reference, keep
-from linksweep.sweep.contract import DefinitionError, Experiment, Function, Named, SweepError, Value, shown, suggest
+from linksweep.sweep.contract import (
+    DefinitionError,
+    Experiment,
+    Function,
+    Named,
+    SweepError,
+    Value,
+    refused,
+    shown,
+    suggest,
+)
 from linksweep.sweep.formatting import split_assignment
 from linksweep.sweep.functions.adapter import is_plain_function, name_of
 from linksweep.sweep.studies import built_in_studies
@@ -66,11 +76,8 @@ def find_study(name_or_path: str) -> Path:
 
 def read_text(path: Path) -> str:
     """Return the text of a file of bounded size; raises SweepError where it cannot be read or is no UTF-8."""
-    try:
-        with path.open("rb") as file:  # no stat: a device or a pipe has no size
-            content = file.read(MAX_FILE_BYTES + 1)
-    except (OSError, ValueError) as error:
-        raise SweepError(f"cannot be read: {getattr(error, 'strerror', None) or error}", str(path)) from error
+    with refused(OSError, ValueError, said="cannot be read: ", where=path), path.open("rb") as file:
+        content = file.read(MAX_FILE_BYTES + 1)  # no stat: a device or a pipe has no size
     if len(content) > MAX_FILE_BYTES:
         raise SweepError(f"is larger than {MAX_FILE_BYTES:,} bytes", str(path))
     try:
@@ -86,14 +93,10 @@ def parsed(text: str, path: Path) -> dict[str, Any]:
         raise SweepError(f"is Python, not a study; name a function in it, as {path}:NAME", str(path))
     # of what may be a key: texts with many dots are none
     tokens = (token for token in re.findall(r"[^,=\[\]{}#\n]+", text) if token.count(".") > DEEPEST)
-    try:
+    with refused(ValueError, RecursionError, said="not valid TOML: ", where=path):
         if any(len(re.findall(r"[\w\"'-]\s*\.\s*(?=[\w\"'-])", token)) > DEEPEST for token in tokens):
-            raise RecursionError
+            raise RecursionError("nested too deeply")
         return tomllib.loads(text)
-    except ValueError as error:
-        raise SweepError(f"not valid TOML: {error}", str(path)) from error
-    except RecursionError as error:
-        raise SweepError("not valid TOML: nested too deeply", str(path)) from error
 
 
 @dataclass

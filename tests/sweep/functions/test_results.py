@@ -137,7 +137,7 @@ REFUSED = {
     "a time of astropy": ({"y": Time(2020.0, format="jyear")}, "'y' is of type Time"),
     "a coordinate of durations": (at_k(pd.to_timedelta([1], "h")), "a coordinate 'k' that is of type timedelta64"),
     "a coordinate that is NaN": (at_k([np.nan]), "'y' has a coordinate 'k' that has values that are not finite"),
-    "two levels": (pd.DataFrame({"y": [1.0, 2.0]}, [["p", "q"], [1, 2]]), "or what a MultiIndex of pandas lacks"),
+    "two levels": (pd.DataFrame({"y": [1.0, 2.0]}, [["p", "q"], [1, 2]]), "nan=True"),
     "like a parameter": ({"case": 1.0}, "output 'case': is the name of another parameter"),
     "a name of ours": ({"status": 1.0}, "output 'status': the platform gives this name"),
     "no name": ({1: 1.0}, "the name 1 of an output is no text"),
