@@ -15,7 +15,7 @@ from scipy.special import chdtr, chdtrc, chdtri
 
 from linksweep.core.frames import MAS, Array, Flags, Indices, LinkError, Names, Texts
 from linksweep.core.tie.astrometry import HALF_SPAN, PAIRS, Astrometry, by_errors, kinds
-from linksweep.core.tie.problem import NormalSums, Problem, Solution, discrepancies, solve, source_sums
+from linksweep.core.tie.problem import NormalSums, Problem, Solution, discrepancies, leave_one_out, solve, source_sums
 
 # chi2 over its expectation above and below which it is said first, and above which a link is not given unasked. Radio
 # stars, many of which are binaries, have 7.
@@ -482,17 +482,19 @@ def best_shift(at: Callable[[float], float]) -> float:
 def _outliers(problem: Problem, ratio: float) -> tuple[Indices, float]:
     """Return the few sources without which chi2 is at its level, and what it then is; none if there are more."""
     sums = source_sums(problem)
-    kept = np.ones(len(sums), dtype=bool)
-    dropped: list[int] = []
+    kept = np.arange(len(sums))
     for _ in range(min(3, len(sums) // 4)):
+        used = sums.taken(kept)
+        normal, right = used.normal.sum(axis=0), used.right.sum(axis=0)
+        # chi2 without each: a source with errors that are too small fits well itself
+        lost = used.squares + np.sum((right - used.right) * leave_one_out(used, normal, right), axis=1)
+        kept = np.delete(kept, np.argmax(np.nan_to_num(lost, nan=-np.inf)))
         try:
-            dropped.append(int(np.argmax(np.where(kept, _each(sums, solve(sums.taken(kept))), -1.0))))
-            kept[dropped[-1]] = False
             left = solve(sums.taken(kept)).scale ** 2
         except LinkError:
             break
         if explains(left, ratio):
-            return np.array(dropped), left
+            return np.setdiff1d(np.arange(len(sums)), kept), left
     return np.zeros(0, dtype=np.int64), np.nan
 
 

@@ -200,3 +200,11 @@ def test_a_real_misfit_has_no_invented_cause_and_sources_that_alone_carry_it_are
     at = reference["source_id"] == (bad := reference["source_id"][0])
     reference["dec"][at] += np.random.default_rng(1).normal(size=np.count_nonzero(at)) * 30.0 / 3.6e6
     assert f"without {bad} it is " in solved(tmp_path, satellite, reference)[0]
+    reference = satellite.copy()
+    reference.remove_columns(CORRELATIONS)
+    for k, name in enumerate(NAMES):
+        reference[f"{name}_error"] *= 4.0
+        reference[name] += rng.normal(size=8) * reference[f"{name}_error"] / (1.0 if k > 1 else 3.6e6)
+    for name in (*MOTIONS, *ERRORS[3:]):
+        reference[name][0] /= 1e3
+    assert f"without {bad} it is " in solved(tmp_path, satellite, reference)[0]  # although it fits well itself
