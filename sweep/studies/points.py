@@ -36,7 +36,6 @@ from linksweep.sweep.contract.experiment import (
     quantity_of,
     refused,
     rescaled,
-    same_unit,
 )
 from linksweep.sweep.formatting import first_of, is_missing
 from linksweep.sweep.functions.results import unit_of
@@ -62,8 +61,6 @@ PLAIN_TYPES = (bool, int, float, str, type(None), Named)
 
 # Kinds of arrays whose ``tolist`` returns Python's own numbers and texts.
 PLAIN = frozenset("biufU")
-
-NO_MARKS: Mapping[int, Any] = {}
 
 # After this many problems of one study, or reasons why its points cannot be computed, no more are looked for.
 MAX_PROBLEMS = 20
@@ -532,13 +529,12 @@ def _apart(table: Mapping[str, Column], form: PointsForm, values: Values) -> tup
     known, behind which a column's own may have a unit: ``x [cm]``.
     """
     experiment, problems = values.experiment, values.problems
-    parameters, said = {one.name: one for one in experiment.parameters}, dict(form.units)
+    parameters = {one.name: one for one in experiment.parameters}
     columns, labels = dict[str, list[Any]](), dict[str, list[Any]]()
     for written, (cells, in_table) in table.items():
         match = BRACKETS.fullmatch(written)
         is_known = match and match[1] in {*parameters, *form.labels}.difference(table, columns, labels)
         name, behind = match.groups() if match and is_known else (written, "")
-        unit, stated = in_table or behind, said.pop(written, said.pop(name, ""))
         columns[name] = cells
         with problems.at(("points", form.source, name)):
             if name in form.labels:
@@ -546,13 +542,8 @@ def _apart(table: Mapping[str, Column], form: PointsForm, values: Values) -> tup
             elif name not in parameters:
                 hint = f"{suggest(name, list(parameters))}; as a label: labels = [{json.dumps(name)}]"
                 raise ValueError(f"unknown parameter {shown(name)}{hint}")
-            elif unit and stated and not same_unit(unit, stated):
-                raise ValueError(f"its column is in {unit}, and not in {stated}")
             else:
-                columns[name] = _in_its_unit(cells, unit or stated, parameters[name])
-    for name in said:
-        with problems.at(("points", form.source, name)):
-            raise ValueError(f"unit of {experiment.parameter(name).name}, which is no column")
+                columns[name] = _in_its_unit(cells, in_table or behind, parameters[name])
     results = [POINT, *experiment.coordinates, *(output.name for output in experiment.outputs)]
     taken = "is a parameter or a result; labels are other columns (reset_index() makes a column of an index)"
     for name in form.labels:
@@ -633,20 +624,18 @@ def _read_cells(cells: list[Any], parameter: Parameter) -> list[Any]:
         return [next((way for way in some if way in choices), some[0]) for some in ways]
     if kind not in ("float", "int", "bool") or not any(isinstance(cell, str) for cell in cells):
         return cells
-    # of numbers with decimal commas too: the better of two readings
-    readings = [[read_cell(cell, kind, marks) for cell in cells] for marks in (NO_MARKS, str.maketrans(",.", ".,"))]
-    best = min(readings, key=lambda reading: sum(isinstance(cell, str) for cell in reading))
-    large = any(isinstance(cell, int) and not -(2**63) <= cell < 2**63 for cell in best)
-    return best if large or any(isinstance(cell, str) for cell in best) else cells
+    read = [read_cell(cell, kind) for cell in cells]
+    large = any(isinstance(cell, int) and not -(2**63) <= cell < 2**63 for cell in read)
+    return read if large or any(isinstance(cell, str) for cell in read) else cells
 
 
-def read_cell(cell: Any, kind: str, marks: Mapping[int, Any] = NO_MARKS) -> Any:
+def read_cell(cell: Any, kind: str) -> Any:
     """Return what a cell with text is for a parameter that is no text, the cell itself where it is nothing else."""
     if not isinstance(cell, str):
         return cell
     if kind == "bool":  # of pandas and NumPy True, of TOML true, of spreadsheets TRUE
         return {"true": True, "false": False}.get(cell.lower(), cell)
-    found = options.number(cell.translate(marks))
+    found = options.number(cell)
     return cell if isinstance(found, str) else found
 
 
@@ -867,7 +856,8 @@ def plain_points(points: Any) -> dict[str, Any]:
         table = {str(name): points[name] for name in getattr(points, "colnames", points)}
         read = {name: column_of(one, is_whole) for name, one in table.items() if is_whole or has_unit(one)}
         table |= {name: cells for name, (cells, _) in read.items() if not cells or not isinstance(cells[0], list)}
-        further = {"units": units} if (units := {name: unit for name, (_, unit) in read.items() if unit}) else {}
+        units = {name: f" [{unit}]" for name, (_, unit) in read.items() if unit}
+        table = {name + units.get(name, ""): one for name, one in table.items()}
     elif hasattr(points, "columns") and hasattr(points, "to_dict"):
         if points.index.names != [None] or points.index.tolist() != list(range(len(points))):
             before, points = set(points), points.reset_index(allow_duplicates=True)

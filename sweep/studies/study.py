@@ -550,7 +550,6 @@ class PointsForm(Section):
     seed: Seed = 0
     ranges: dict[str, Any] = Field(default_factory=dict)
     columns: dict[str, list[Any]] | None = None
-    units: dict[str, str] = Field(default_factory=dict)
     derive: str | None = None
     labels: list[str] = Field(default_factory=list)
     origin: dict[str, Any] | None = None
@@ -564,7 +563,7 @@ class PointsForm(Section):
     def _one_source(self) -> Self:
         if [self.file, self.design, self.columns].count(None) != 2:
             raise ValueError("needs exactly one of file (--points), design (--design) and columns")
-        keys = {"file": "units labels", "design": "n seed ranges", "columns": "units labels origin"}[self.source]
+        keys = {"file": "labels", "design": "n seed ranges", "columns": "labels origin"}[self.source]
         if stray := sorted(self.model_fields_set - {*keys.split(), self.source, "derive"}):
             raise ValueError(f"{', '.join(stray)}: does not go with {self.source}")
         if self.design is not None and (self.n is None or not self.ranges):
