@@ -214,7 +214,8 @@ class _Trial:
                 units.append(self.units.popleft())
                 rows -= len(units[-1].points)
             if result.again:
-                self.again = replace(self.task, units=tuple(units), first=tuple(result.outcomes.values()))
+                done = tuple(units[row] for row in result.outcomes)
+                self.again = replace(self.task, units=done, first=tuple(result.outcomes.values()))
 
     def after_death(self, death: Failure) -> None:
         """Find out which point has ended a child, and give that up after so many `TRIES`; raises SweepError for a call,

@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.sweep.code import load_experiment
-from linksweep.sweep.contract import Experiment, Outcome, Point, SweepError, shown
+from linksweep.sweep.contract import Experiment, NotFiniteError, Outcome, Point, SweepError, shown
 from linksweep.sweep.executing.task import Call, Captured, Failure, PointBlock, Task, TaskResult, TimeLimitError
 from linksweep.sweep.functions.results import layout_differences, same_value
 from linksweep.sweep.interrupt import SIGNALS
@@ -406,7 +406,14 @@ class _Computing:
             return None
         if isinstance(got, BaseException):
             return None
-        return TaskResult(np.full(len(got), (time.perf_counter() - begun) / len(got)), dict(enumerate(got)))
+        result = TaskResult.failed(len(got))
+        result.seconds[:] = (time.perf_counter() - begun) / len(got)
+        for row, one in enumerate(got):
+            if isinstance(one.row, NotFiniteError):
+                result.failures[row] = Failure.raised(one.row)
+            else:
+                result.outcomes[row] = one
+        return result
 
     def _alone(self, unit: PointBlock) -> TaskResult:
         """Return the result of a unit."""
@@ -458,8 +465,10 @@ class _Computing:
         """
         points = [self.experiment.defaults() | unit.points[0] for unit in units]
         outcomes = self.experiment.compute(points, 1, ())
-        if self._kind not in _dependence:
-            wrong = dependence(self.experiment, points, outcomes, [unit.stream for unit in units])
+        done = [row for row, one in enumerate(outcomes) if not isinstance(one.row, NotFiniteError)]
+        if self._kind not in _dependence and done:
+            among, streams = [outcomes[row] for row in done], [units[row].stream for row in done]
+            wrong = dependence(self.experiment, [points[row] for row in done], among, streams)
             if wrong or len(points) > CHECKED:
                 _dependence[self._kind] = wrong
         return outcomes
@@ -474,7 +483,7 @@ class _Computing:
         if seconds > self.task.at_once_s:
             result.again = True
         else:
-            result.refused = self.how_calls_differ(units, list(result.outcomes.values()))
+            result.refused = self.how_calls_differ([units[k] for k in result.outcomes], [*result.outcomes.values()])
 
     def how_calls_differ(self, units: Sequence[PointBlock], first: Sequence[Outcome]) -> str:
         """Call the function again at the points of some units; return a sentence if it then gives other results than
@@ -485,6 +494,8 @@ class _Computing:
         again = self._outcomes(units[0], len(points), lambda: self.experiment.compute(points, 1, ()), turn=1)
         if isinstance(again, TimeLimitError):
             return ""
+        if isinstance(again, list):
+            again = next((one.row for one in again if isinstance(one.row, NotFiniteError)), again)
         if isinstance(again, BaseException):
             how = f"and then raises {type(again).__name__}"
         else:

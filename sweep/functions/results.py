@@ -482,6 +482,8 @@ def flatten(result: Any, declared: Declared) -> Outcome:
     if (layout := declared.layouts.get(key)) is not None and all(map(_is_plain, scalars.values())):
         return Outcome(tuple(scalars.values()), None, layout)
     row, layout = _read(result, declared)
+    if wrong := _not_finite(row, layout, declared):
+        raise wrong
     if SCALARS.issuperset(kind for _, kind in key):
         declared.layouts[key] = layout
     return Outcome(tuple(array[()] for array in row), None, layout)
@@ -490,7 +492,8 @@ def flatten(result: Any, declared: Declared) -> Outcome:
 def split_points(result: Any, n: int, declared: Declared, noun: str) -> list[Outcome]:
     """Return the result of each of n points or realisations (``noun``) from arrays whose first axis counts them.
 
-    Raises ResultError as `flatten`, and for arrays of another length.
+    Of several points, those whose results are not finite have a NotFiniteError in place of a row.  Raises ResultError
+    as `flatten`, and for arrays of another length.
     """
     each = f"expected an array, one for each of {n} {noun}"
 
@@ -507,7 +510,13 @@ def split_points(result: Any, n: int, declared: Declared, noun: str) -> list[Out
     columns, layout = _read(result, declared, column)
     # scalars as those of Python, whose pickles are small
     elements = [c.tolist() if c.ndim == 1 and c.dtype.kind != "M" else list(c) for c in columns]
-    return [Outcome(row, None, layout) for row in zip(*elements, strict=True)]
+    outcomes = [Outcome(row, None, layout) for row in zip(*elements, strict=True)]
+    if (wrong := _not_finite(columns, layout, declared)) is None:
+        return outcomes
+    if n == 1 or noun != "points":
+        raise wrong
+    wrongs = (_not_finite([c[k] for c in columns], layout, declared) for k in range(n))
+    return [one._replace(row=why or one.row) for one, why in zip(outcomes, wrongs, strict=True)]
 
 
 def _read(
@@ -541,9 +550,7 @@ def _read(
     layout = Layout(fields, tuple(coordinates[dim] for dim in used), declared.drawn)
     if wrong := problems_of_names(layout, declared.parameters):
         raise declared.refused(wrong)
-    arrays = arrays or [value.array for value in values.values()]
-    _check_finite(arrays, layout, declared)
-    return arrays, layout
+    return arrays or [value.array for value in values.values()], layout
 
 
 def _as_declared(name: str, value: Value, declared: Declared) -> Value:
@@ -612,7 +619,8 @@ def _add_lengths(values: dict[str, Value], coordinates: Mapping[str, Coordinate]
     return problems
 
 
-def _check_finite(arrays: Sequence[NDArray[Any]], layout: Layout, declared: Declared) -> None:
+def _not_finite(arrays: Sequence[NDArray[Any]], layout: Layout, declared: Declared) -> NotFiniteError | None:
+    """Return the error that says which results are NaN or infinite, None where none are."""
     pairs = zip(layout.fields, arrays, strict=True)
     try:
         check_finite(
@@ -621,4 +629,5 @@ def _check_finite(arrays: Sequence[NDArray[Any]], layout: Layout, declared: Decl
         )
     except NotFiniteError as error:
         hint = "declare Output(..., nan=True) where that is a value"
-        raise NotFiniteError(f"{declared.function}: {error} ({hint})") from error
+        return NotFiniteError(f"{declared.function}: {error} ({hint})")
+    return None

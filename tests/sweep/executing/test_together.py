@@ -70,14 +70,14 @@ def test_where_that_fails_catalogues_are_evaluated_one_by_one(wrong, caplog):
     assert "tried" not in caplog.text  # what was printed in vain is not kept
 
 
-def failed(of_all, store, **declared):
+def failed(of_all, store, max_failures=None, **declared):
     """How many points failed, and why the first did; the first ones of a run are computed alone, to measure them."""
 
     @linksweep.experiment(vectorised=True, **declared)
     def function(x: float):
         return of_all(x)
 
-    dataset = linksweep.run(function, store, axes={"x": X}, pool="serial")
+    dataset = linksweep.run(function, store, axes={"x": X}, pool="serial", max_failures=max_failures)
     return int((dataset.status == 2).sum()), next(iter(json.loads(dataset.attrs["failures"]).values()), "")
 
 
@@ -92,6 +92,9 @@ def test_what_depends_on_the_others_fails_with_both_values(of_all, tmp_path):
 @pytest.mark.parametrize("of_all", few(5, OWN[::-1]))
 def test_what_does_not_is_kept(of_all, tmp_path):
     assert failed(of_all, tmp_path / "s.zarr", outputs=ANY) == (0, "")
+    CALLS.clear()
+    number, _ = failed(lambda x: CALLS.append(x) or np.where(x % 2 < 0.7, np.nan, x), tmp_path / "t.zarr", 999)
+    assert number == (X % 2 < 0.7).sum() > 2 * len(CALLS), "those that are NaN take no others with them"
 
 
 @pytest.mark.parametrize(("apart", "tolerance"), few(1, [(1e-3, 0.01), (1e-9, 1e-8), (1e-11, 1e-10)]))
