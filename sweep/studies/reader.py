@@ -351,7 +351,8 @@ def study_of_attributes(attributes: Mapping[str, Any], where: str, code: Code) -
         del document["published"]
     options = Overrides()
     if overrides:  # which of its parameters they changed is not known
-        options.by_place.update({(table, key): "" for table in ("axes", "fixed") for key in document.get(table, {})})
+        options.by_place |= {(table, key): "" for table in ("axes", "fixed") for key in document.get(table, {})}
+        options.by_place[("points",)] = ""
     study = _Reader(document, text, Path(where), where, options, code).study()
     of_function = {"title": attributes["title"], "description": attributes.get("description", "")}  # of its docstring
     return replace(study, name=name, overrides=(overrides,) if overrides else (), part=part, **of_function)
@@ -443,8 +444,9 @@ class _Reader:
         experiment = self._with_labels(experiment, axes, fixed, when)
         published = _read_published(form, values, axes, fixed)
         changed = frozenset(str(place[1]) for place in problems.options if place[0] in ("axes", "fixed"))
+        changed |= frozenset(points if ("points",) in problems.options else ())
         known = frozenset({*axes, *fixed})
-        context = Context(experiment, crossed, zipped, known, changed, compared) if is_whole else None
+        context = Context(experiment, crossed, zipped, known, changed, compared, points) if is_whole else None
         statements = {key: self.document[key] for key in STATEMENTS if key in self.document}
         checked = _read_form({"title": "", **statements}, problems, context)
         problems.report()

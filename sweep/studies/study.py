@@ -33,7 +33,8 @@ FORMATS = ("", "error", "%")
 class Context:
     """What sections of a study are checked against, once its experiment and its axes are known.
 
-    ``axes`` may hold None for an axis that is itself wrong; ``known`` are all parameters that the study sets.
+    ``axes`` and the ``columns`` of [points] may hold None for one that is itself wrong; ``known`` are all parameters
+    that the study sets.
     ``changed`` are those that the command line changed: a claim that no longer fits them is not a mistake of the study,
     and is left for the comparison to report.  ``compared`` reads a value of a condition.
     """
@@ -44,18 +45,20 @@ class Context:
     known: frozenset[str]
     changed: frozenset[str]
     compared: Callable[[Parameter, Any], Value] = Parameter.parse
+    columns: Mapping[str, tuple[Value, ...] | None] = field(default_factory=dict)
 
     def values(self, name: str) -> tuple[Value, ...] | None:
-        """Return the values of an axis, None where they are not known, or may be others than the study means.
+        """Return the values of an axis or a column, None where they are not known, or may be others than the study
+        means.
 
         Raises ValueError where there is no such axis.
         """
         if name in self.changed:
             return None
-        if name not in self.axes:
-            known = [axis for axis in self.axes if axis in self.experiment.defaults()]
+        if name not in (there := {**self.axes, **self.columns}):
+            known = [axis for axis in there if axis in self.experiment.defaults()]
             raise ValueError(f"{shown(name)} is not an axis{suggest(name, known) if known else '; the study has none'}")
-        return self.axes[name]
+        return there[name]
 
     def partners(self, name: str) -> Sequence[str]:
         """Return the axes that advance together with one."""
@@ -193,7 +196,7 @@ def _place(name: str, raw: Any, context: Context) -> Value:
     value = context.compared(context.experiment.parameter(name), raw)
     there = [value] if values is None else [one for one in values if (value, type(value) is bool) in _names(one)]
     if not there:
-        listed = first_of([shown(one) for one in values or ()], 20)
+        listed = first_of([shown(one) for one in dict.fromkeys(values or ())], 20)
         raise ValueError(f"{shown(raw)} is not on the axis, which has {listed}")
     return there[0].name if isinstance(there[0], Named) else there[0]
 

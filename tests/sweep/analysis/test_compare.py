@@ -179,10 +179,13 @@ def test_a_claim_about_points_that_are_not_done_not_finite_or_not_there(tmp_path
         comparison = only(grid(1.0, claims=[claim(**keys)]))
         assert (comparison.verdict, comparison.reason) == ("incomplete", reason)
     # a table has no lines, and several points at one place
-    table = linksweep.run(lambda a, b: a * b, tmp_path / "t", points={"a": [1, 2, 2], "b": [1, 1, 2]}, pool="serial")
-    claims = [claim(slope={"variable": "result", "over": "a"}), claim(value={"variable": "result", "at": {"a": 2}})]
-    reasons = ["a is not an axis of this store", "several points of the store have a=2"]
-    assert [c.reason for c in compare(table.assign_attrs(claims=json.dumps(claims)))] == reasons
+    places = {"at": {"a": 2}}, {"at": {"a": 2, "b": 2}}
+    claims = [claim(slope={"variable": "result", "over": "a"})]
+    claims += [claim(value={"variable": "result"} | place, published="4.0") for place in places]
+    study = {"experiment": lambda a, b: a * b, "points": {"a": [1, 2, 2], "b": [1, 1, 2]}, "claim": claims}
+    found = compare(linksweep.run(study, tmp_path / "t", pool="serial"))
+    reasons = ["a is not an axis of this store", "several points of the store have a=2", ""]
+    assert ([c.reason for c in found], found[2].verdict) == (reasons, "reproduced")
 
 
 def test_a_component_of_a_result():
