@@ -470,6 +470,14 @@ def read_row_group(path: Path, group: int, columns: Sequence[str]) -> Any:
         return _from_arrow(file.read_row_group(group, columns=names, use_threads=False), columns)
 
 
+def lists_in(path: Path) -> dict[str, list[Any]]:
+    """Return the columns of lists in a Parquet file, which a table has as texts."""
+    with path.open("rb") as source, _parquet(source) as file:
+        from pyarrow.types import is_nested
+
+        return dict(file.read(columns=[one.name for one in file.schema_arrow if is_nested(one.type)]).to_pydict())
+
+
 @contextmanager
 def _parquet(source: Any) -> Iterator[Any]:
     """Give an open Parquet file; errors while it is read are SweepErrors."""
