@@ -406,14 +406,9 @@ class _Computing:
             return None
         if isinstance(got, BaseException):
             return None
-        result = TaskResult.failed(len(got))
-        result.seconds[:] = (time.perf_counter() - begun) / len(got)
-        for row, one in enumerate(got):
-            if isinstance(one.row, NotFiniteError):
-                result.failures[row] = Failure.raised(one.row)
-            else:
-                result.outcomes[row] = one
-        return result
+        failures = {k: Failure.raised(one.row) for k, one in enumerate(got) if isinstance(one.row, NotFiniteError)}
+        outcomes = {k: one for k, one in enumerate(got) if k not in failures}
+        return TaskResult(np.full(len(got), (time.perf_counter() - begun) / len(got)), outcomes, failures)
 
     def _alone(self, unit: PointBlock) -> TaskResult:
         """Return the result of a unit."""
@@ -465,10 +460,10 @@ class _Computing:
         """
         points = [self.experiment.defaults() | unit.points[0] for unit in units]
         outcomes = self.experiment.compute(points, 1, ())
-        done = [row for row, one in enumerate(outcomes) if not isinstance(one.row, NotFiniteError)]
+        rows = zip(points, outcomes, (unit.stream for unit in units), strict=True)
+        done = [row for row in rows if not isinstance(row[1].row, NotFiniteError)]
         if self._kind not in _dependence and done:
-            among, streams = [outcomes[row] for row in done], [units[row].stream for row in done]
-            wrong = dependence(self.experiment, [points[row] for row in done], among, streams)
+            wrong = dependence(self.experiment, done)
             if wrong or len(points) > CHECKED:
                 _dependence[self._kind] = wrong
         return outcomes
@@ -520,23 +515,22 @@ def alike(units: Sequence[PointBlock]) -> Iterator[tuple[PointBlock, ...]]:
         yield from (whole[first : first + most] for first in range(0, len(whole), most))
 
 
-def dependence(
-    experiment: Experiment, points: Sequence[Point], outcomes: Sequence[Outcome], digests: Sequence[bytes]
-) -> str:
-    """Return how one of many points differs from the result of that point alone, in words; '' where none does.
+def dependence(experiment: Experiment, rows: Sequence[tuple[Point, Outcome, bytes]]) -> str:
+    """Return how one of many points, with their results and digests, differs from the result of that point alone, in
+    words; '' where none does.
 
     The points with the least digests are compared: the same of the same points, whatever their order, and at least one
     that is neither the first nor the last.  Raises whatever the function raises.
     """
-    among = _columns(outcomes)
-    for place in sorted(range(len(points)), key=digests.__getitem__)[:CHECKED]:
-        alone = _columns(experiment.compute([points[place]], 1, ()))
+    among = _columns([outcome for _, outcome, _ in rows])
+    for place in sorted(range(len(rows)), key=lambda place: rows[place][2])[:CHECKED]:
+        alone = _columns(experiment.compute([rows[place][0]], 1, ()))
         for name in among.keys() & alone.keys():
             there, here = np.asarray(among[name][place]), np.asarray(alone[name][0])
             if not _agree(there, here, among[name], experiment.tolerance):
-                where = ", ".join(f"{parameter}={shown(value)}" for parameter, value in points[place].items())
+                where = ", ".join(f"{parameter}={shown(value)}" for parameter, value in rows[place][0].items())
                 return (
-                    f"{experiment.name}: {name!r} is {shown(there.tolist())} in a call for {len(points):,} points, but "
+                    f"{experiment.name}: {name!r} is {shown(there.tolist())} in a call for {len(rows):,} points, but "
                     f"{shown(here.tolist())} for the same point ({where}) alone; what a vectorised function returns "
                     "for a point must not depend on the others by more than its tolerance (1e-12 if it declares none)"
                 )

@@ -510,13 +510,12 @@ def split_points(result: Any, n: int, declared: Declared, noun: str) -> list[Out
     columns, layout = _read(result, declared, column)
     # scalars as those of Python, whose pickles are small
     elements = [c.tolist() if c.ndim == 1 and c.dtype.kind != "M" else list(c) for c in columns]
-    outcomes = [Outcome(row, None, layout) for row in zip(*elements, strict=True)]
-    if (wrong := _not_finite(columns, layout, declared)) is None:
-        return outcomes
-    if n == 1 or noun != "points":
-        raise wrong
-    wrongs = (_not_finite([c[k] for c in columns], layout, declared) for k in range(n))
-    return [one._replace(row=why or one.row) for one, why in zip(outcomes, wrongs, strict=True)]
+    rows: list[Any] = [*zip(*elements, strict=True)]
+    if wrong := _not_finite(columns, layout, declared):
+        if n == 1 or declared.drawn:
+            raise wrong
+        rows = [_not_finite([c[k] for c in columns], layout, declared) or row for k, row in enumerate(rows)]
+    return [Outcome(row, None, layout) for row in rows]
 
 
 def _read(
