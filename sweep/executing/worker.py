@@ -415,6 +415,7 @@ class _Computing:
         result, rows = TaskResult.failed(len(unit.points)), list(range(len(unit.points)))
         begun = time.perf_counter()
         if not self._try(rows, unit, result) and len(rows) > 1:
+            result.failures.clear()
             for row in rows:  # which of those that share the draw is to blame?
                 self._try([row], unit, result)
         result.seconds[:] = (time.perf_counter() - begun) / len(rows)
@@ -448,8 +449,6 @@ class _Computing:
             result.failures.update(dict.fromkeys(rows, Failure.raised(got, task.time_limit_s)))
             return False
         result.outcomes.update(zip(rows, got, strict=True))
-        for row in rows:
-            result.failures.pop(row, None)
         return True
 
     def _checked(self, units: Sequence[PointBlock]) -> list[Outcome]:
@@ -464,7 +463,7 @@ class _Computing:
         done = [row for row in rows if not isinstance(row[1].row, NotFiniteError)]
         if self._kind not in _dependence and done:
             wrong = dependence(self.experiment, done)
-            if wrong or len(points) > CHECKED:
+            if wrong or len(done) > CHECKED:
                 _dependence[self._kind] = wrong
         return outcomes
 
