@@ -627,6 +627,5 @@ def _not_finite(arrays: Sequence[NDArray[Any]], layout: Layout, declared: Declar
             [output.name for output in declared.outputs if output.nan],
         )
     except NotFiniteError as error:
-        hint = "declare Output(..., nan=True) where that is a value"
-        return NotFiniteError(f"{declared.function}: {error} ({hint})")
+        return NotFiniteError(f"{declared.function}: {error} (declare Output(..., nan=True) where that is a value)")
     return None
