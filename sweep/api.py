@@ -61,7 +61,6 @@ def run(
     keep: bool = False,
     redo: str = "",
     max_failures: int | str | None = None,
-    deterministic: bool = True,
     verify: int = 0,
     part: str | None = None,
 ) -> xr.Dataset:
@@ -107,8 +106,6 @@ def run(
             again; ``old`` is true for points that other code made.
         max_failures: end the run when more points than this number, or than this percentage, "5%", of those that were
             tried fail; by default if the first 20 all fail for the same reason, with "100%" never.
-        deterministic: False accepts a function without ``rng`` that returns another result each time, as
-            ``@experiment(deterministic=False)`` does; by default it is refused.
         progress: an object that is notified of the progress; by default a bar in terminals and notebooks.
         part: "K/N" computes part K of N alone, into the store STORE.part-K-of-N; `sweep merge` makes one of all parts.
         verify: compute so many points again at the end, each by itself in new processes, in two orders, and compare
@@ -143,8 +140,6 @@ def run(
     beside = Beside(retry, fresh, only, keep, redo)
     options = {"axes": axes, "fixed": fixed, "sampling": sampling, "title": title}
     loaded = _study(study, options | {"points": points, "labels": labels, "exclude": exclude, "when": when})
-    if not deterministic:
-        loaded = replace(loaded, experiment=loaded.experiment.not_repeatable())
     place = located(store or default_store(loaded.name))
     loaded = replace(loaded, part=_parsed("part", part, Part.parsed))
     if loaded.part is not None:

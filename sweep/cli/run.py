@@ -367,7 +367,6 @@ def scaling(
     settings: Sequence[str] = cli.SETTINGS,
     axes: Sequence[str] = cli.AXES,
     output: Path | None = cli.output("The measurements, as Zarr.  [default: results/NAME-scaling.zarr]"),
-    figure: Path | None = opt("Also draw them with the ideal lines: .png, .svg, .pdf.", type=cli.FILE),
     trust: bool = cli.TRUST,
     as_json: bool = cli.JSON,
 ) -> None:
@@ -376,21 +375,19 @@ def scaling(
     The results of the runs are thrown away; the time to start workers is measured separately.
 
     \b
-    sweep scaling quasars --workers 1,2 --figure scaling.svg
+    sweep scaling quasars --workers 1,2
+    sweep plot results/quasars-scaling.zarr
     """
     from linksweep.sweep.running.scaling import measure_scaling
     from linksweep.sweep.stores.location import default_store
 
     loaded = cli.load_trusted(study, trust, settings=settings, axes=axes)
-    paths = [output or default_store(f"{loaded.name}-scaling"), *([figure] if figure else [])]
-    for path in paths:
-        # Before minutes of measuring.
-        cli.require_writable(path)
+    path = output or default_store(f"{loaded.name}-scaling")
+    cli.require_writable(path)  # before minutes of measuring
     with cli.a_signal_ends_the_command():
         dataset = measure_scaling(loaded, workers, pool, repetitions, lambda text: click.echo(text, err=True))
     cli.print_result(dataset, "json" if as_json else "text")
-    for path in paths:
-        cli.save_result(dataset, path)
+    cli.save_result(dataset, path)
 
 
 @cli.command("Store care", "Say how far a run is, and what failed")

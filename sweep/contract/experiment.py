@@ -942,10 +942,6 @@ class Experiment:
         """
         return self, {place: outcome.row for place, outcome in outcomes.items()}, {}
 
-    def not_repeatable(self) -> "Experiment":
-        """Return the experiment without the promise that a function returns the same whenever it is called."""
-        raise SweepError("deterministic: is for a plain function; an Experiment draws from the generators that it gets")
-
     def with_layout(self, layout: Any) -> "Experiment":
         """Return the experiment with what is known of its results, None where nothing is."""
         return self

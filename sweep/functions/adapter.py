@@ -375,10 +375,6 @@ class FunctionExperiment(Experiment):
         """Whether a point is evaluated once, without random numbers."""
         return not self.rng
 
-    def not_repeatable(self) -> "FunctionExperiment":
-        """Return the experiment of a function that may return other results each time."""
-        return replace(self, repeatable=False)
-
     @functools.cached_property
     def expected(self) -> results.Declared:
         """What results are checked against."""

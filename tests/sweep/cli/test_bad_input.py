@@ -210,7 +210,7 @@ COMMANDS = [
     *(("scaling sqrt-n --workers 2,4", "must increase from 1"), ("scaling sqrt-n --workers 1,5000", "4096")),
     ("scaling sqrt-n --workers 1,two", "no list of numbers"),
     *(("scaling sqrt-n --set n_sim=none", "n_sim"), ("scaling sqrt-n --set precision=0.1", "decides itself")),
-    *(("scaling sqrt-n --repetitions 0", "repetitions"), ("scaling sqrt-n --figure s.txt", "the name must end")),
+    *(("scaling sqrt-n --repetitions 0", "repetitions"), ("scaling sqrt-n -o s.txt", "the name must end")),
     # no option is dropped for another
     ("plan quasars --axis v_max=14,15 --set v_max=16", "--set v_max=16 and --axis v_max=14,15: v_max is"),
     ("plan quasars --axis v_max=14,15 --axis v_max=16", "--axis v_max=14,15 and --axis v_max=16: v_max is given twice"),

@@ -224,11 +224,12 @@ def test_what_is_excluded_later_stays_and_a_condition_that_is_none_is_refused_an
 def test_a_condition_has_the_values_that_the_dataset_shows(tmp_path, axis, condition, chosen):
     calls = []
 
+    @linksweep.experiment(deterministic=False)
     def f(k):
         calls.append(k)
         return repr(k)
 
-    study = {"axes": {"k": axis}, "store": tmp_path / "s.zarr", "pool": "serial", "deterministic": False}
+    study = {"axes": {"k": axis}, "store": tmp_path / "s.zarr", "pool": "serial"}
     linksweep.run(f, **study)
     calls.clear()
     linksweep.run(f, **study, redo=condition)
