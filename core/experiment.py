@@ -214,22 +214,19 @@ def _unused_by_catalogue(point: Point) -> dict[str, str]:
         if parameter in RANDOM_SKY & kind.parameters:
             clauses[parameter] = "it is for random positions (positions = 'isotropic')"
         else:
-            users = " or ".join(repr(name) for name, other in CATALOGUES.items() if parameter in other.parameters)
-            clauses[parameter] = f"it is for catalogue = {users}, and here that is {point['catalogue']!r}"
+            clauses[parameter] = f"it is not for catalogue = {point['catalogue']!r}"
     if "pm_distribution" in uses and not point["mean_pm"] > 0.0:
         clauses["pm_distribution"] = "it is for objects with proper motions, mean_pm above 0"
     return clauses
 
 
 def _unused_by_errors(point: Point) -> dict[str, str]:
-    users: dict[str, list[str]] = {}
-    for side in SIDES:
-        for name, model in ERROR_MODELS.items():
-            for parameter in model.uses(side) if side in model.sides else ():
-                users.setdefault(parameter, []).append(f"{side}_errors = {name!r}")
+    models = [(side, model) for model in ERROR_MODELS.values() for side in SIDES if side in model.sides]
+    known = frozenset().union(*(model.uses(side) for side, model in models))
     used = frozenset().union(*(ERROR_MODELS[point[f"{side}_errors"]].uses(side) for side in SIDES))
     # a parameter of both sides, such as error_scale, is used where either side uses it
-    clauses = {name: f"it is for {' or '.join(users[name])}" for name in sorted(users.keys() - used)}
+    chosen = " and ".join(f"{side}_errors = {point[f'{side}_errors']!r}" for side in SIDES)
+    clauses = dict.fromkeys(sorted(known - used), f"it is not for {chosen}")
     return clauses if used else clauses | {"weighting": "without errors all weights are equal"}
 
 

@@ -241,14 +241,11 @@ def _deficit(problem: Problem, groups: Sequence[_Group]) -> str:
     and that of all next to its expectation.
     """
     causes: dict[float, Cause] = {}  # the same errors may have several names
-    levels: dict[Any, dict[str, float]] = {}  # and so may the same rows
     for group in groups:
         names = {group.words.removeprefix("the ").partition(" of ")[0]: group.rows} | WITH_ERRORS
         wholes = [part for part in _wholes(problem) if part.table in ("satellite", group.part.table)]
         for (factor, unit, name, rows), part in product(_in_units(LARGER, names), (group.part, *wholes[::-1])):
-            change = factor, rows, part.table, part.at.tobytes()
-            level = levels[change] if change in levels else _levels(problem, part, _scaled(rows, factor, errors=True))
-            levels[change] = level
+            level = _levels(problem, part, _scaled(rows, factor, errors=True))
             if level and 0.1 < level[group.words] < EXCESS:
                 ratio = max(level[group.words], level[""], key=lambda one: abs(np.log(one)))
                 # a unit brings chi2 at least four times nearer to 1, in the logarithm; errors may just be too large
@@ -331,7 +328,10 @@ def _corrections(problem: Problem, table: str) -> Iterator[tuple[str, int, Chang
         yield f"{name} of {{}}, {unit}", 0, _scaled(rows, ratio, values=True)
         yield f"{name} and their errors of {{}}, {unit}", 0, _scaled(rows, ratio, values=True, errors=True)
     if table == "satellite" and problem.satellite.further is not None:
-        yield from _accelerations()
+        orbits = "orbits of {} that the other table does not have"
+        yield orbits, 0, _changed(["further"], lambda further: further * np.array([[1.0]] * 4 + [[0.0]]))
+        mean = "positions of {} that are averages: say --accelerations mean"
+        yield mean, 0, lambda table: replace(table, averaged=np.full(len(table), HALF_SPAN))
     for ratio, unit, name, rows in _in_units(SMALLER, WITH_ERRORS):
         yield f"errors of {name} of {{}} too small, {unit}", HIDES_ALL, _scaled(rows, ratio, errors=True)
 
@@ -346,23 +346,6 @@ def _in_units(factors: dict[float, str], quantities: dict[str, Rows]) -> Iterato
 def _changed(names: Sequence[str], change: Callable[[Any], Any]) -> Change:
     """Return a change of some arrays of a table."""
     return lambda table: replace(table, **{name: change(getattr(table, name)) for name in names})
-
-
-def _accelerations() -> Iterator[tuple[str, int, Change]]:
-    """Yield mistakes in the accelerations and orbits of the satellite and the changes that correct them."""
-    changed = partial(_changed, ["further"])
-
-    def times(value: float, error: float = 1.0, orbit: float = 1.0) -> Change:
-        return changed(partial(np.multiply, [[[value]] * 4 + [[orbit]], [[error]] * 4 + [[orbit]]]))
-
-    yield "orbits of {} that the other table does not have", 0, times(1.0, orbit=0.0)
-    yield "accelerations of {} with reversed sign", 0, times(-1.0)
-    yield "accel_ra and accel_dec of {} exchanged", 0, changed(lambda both: both[:, [1, 0, 3, 2, 4]])
-    yield "accelerations of {} that are half of them, as factors of t^2", 0, times(2.0, 2.0)
-    for ratio, unit in ((1e3, "arcsec taken for mas"), (1e-3, "uas taken for mas")):
-        yield f"accelerations of {{}}, {unit}", 0, times(ratio, ratio)
-    mean = "positions of {} that are averages: say --accelerations mean"
-    yield mean, 0, lambda table: replace(table, averaged=np.full(len(table), HALF_SPAN))
 
 
 def _scaled(rows: Sequence[int], factor: float, values: bool = False, errors: bool = False) -> Change:

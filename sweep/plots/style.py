@@ -469,9 +469,9 @@ def series(number: int, steps: int = 0) -> dict[str, Any]:
     return {"color": ramp or COLOURS[number % len(COLOURS)], "marker": MARKERS[number % len(MARKERS)]}
 
 
-def marks(number: int, size: float, steps: int = 0, **options: Any) -> dict[str, Any]:
+def marks(number: int, size: float, **options: Any) -> dict[str, Any]:
     """Return the style of the marks of the ``number``-th series, which no line joins."""
-    return {**series(number, steps), "linestyle": "none", "markersize": size, **options}
+    return {**series(number), "linestyle": "none", "markersize": size, **options}
 
 
 def confidence_ellipse(centre: Array, covariance: Array, confidence: float, **look: Any) -> patches.Ellipse:

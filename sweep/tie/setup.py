@@ -24,7 +24,7 @@ from linksweep.sweep.contract import SweepError, refused
 from linksweep.sweep.executing.executor import Map
 from linksweep.sweep.formatting import first_of, split_assignment
 from linksweep.sweep.tables import reader
-from linksweep.sweep.tables.columns import Columns, conditions
+from linksweep.sweep.tables.columns import Columns, column_of, conditions
 from linksweep.sweep.tables.options import by_table, number, numbers, parameter
 from linksweep.sweep.tie import tables as files
 from linksweep.sweep.tie.options import SIDES, SIGNS, TABLE, Options, listed
@@ -734,7 +734,9 @@ def set_up_row_groups(
     sizes, columns = reader.row_groups(path)
     names = columns
     if not isinstance(options.known_spin, str):
-        names = files.columns_needed(columns, table_options(options)["satellite"], parse_bins(options.bins)[:1])
+        chosen = table_options(options)["satellite"].columns
+        used = {column_of(quantity, columns, chosen) for quantity in files.QUANTITIES if quantity != "name"}
+        names = [name for name in columns if name in used | {parse_bins(options.bins)[0]}]
     digest, n = digest_once(path), sum(sizes)
     firsts = np.cumsum([0, *sizes]).tolist()
     groups = [RowGroup(path, digest, k, firsts[k], tuple(names), options) for k, size in enumerate(sizes) if size]

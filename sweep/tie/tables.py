@@ -8,7 +8,7 @@ import json
 import logging
 import re
 import socket
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import redirect_stdout, suppress
 from dataclasses import dataclass, field, replace
 from importlib import resources
@@ -212,12 +212,6 @@ def digest_of(path: Path) -> str:
     """Return the SHA-256 of a file."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
-
-
-def columns_needed(names: Sequence[str], options: TableOptions, further: Collection[str] = ()) -> list[str]:
-    """Return the columns of a table that hold a quantity, not names, or are among ``further``, in their order."""
-    used = {archives.column_of(quantity, names, options.columns) for quantity in QUANTITIES if quantity != "name"}
-    return [name for name in names if name in used or name in further]
 
 
 def astrometric_table(
@@ -662,17 +656,8 @@ OPTIONAL = PER_STAR | {"colour_factor_al": (*LENGTH, -ARC, ARC)}
 # Of the archive's colour_factor_al to nm. Source: gaiasupdate 0.1.2.
 COLOUR_FACTOR = -1e3
 
-# What times may be numbers of: the Julian year of 0, and how many of them a year has; and when Gaia observed.
-TIMES = {
-    "ns since 2010.0": (2010.0, 3.15576e16),
-    "Julian years": (0.0, 1.0),
-    "Julian dates": (2000.0 - 2451545.0 / core.DAYS_PER_YEAR, core.DAYS_PER_YEAR),
-    "modified Julian dates": (2000.0 - 51544.5 / core.DAYS_PER_YEAR, core.DAYS_PER_YEAR),
-    **{f"{unit} since 2010.0": (2010.0, per_year) for unit, per_year in (("years", 1.0), ("days", core.DAYS_PER_YEAR))},
-    **{f"{unit} since 2010.0": (2010.0, 3.15576e7 * per_s) for unit, per_s in (("s", 1.0), ("ms", 1e3), ("us", 1e6))},
-    **{f"ns since {year}.0": (float(year), 3.15576e16) for year in (2000, 1970)},
-}
-OBSERVED = (2014.0, 2025.5)
+# When Gaia observed, in ns since 2010.0.
+OBSERVED = (4.0 * 3.15576e16, 15.5 * 3.15576e16)
 
 THIELE_INNES = tuple(f"{letter}_thiele_innes" for letter in "abfg")
 CAMPBELL = ("nodeangle", "inclination", "arg_periastron")
@@ -737,10 +722,8 @@ def read_observations(path: Path) -> tuple[Any, list[str]]:
             read.notes.append(f"{said} {archives.rows_listed(rows(gone))}")
     frame = frame.dropna(subset=known, ignore_index=True)
     low, high = frame["obs_time_tcb"].min(), frame["obs_time_tcb"].max()
-    likely = [n for n, (zero, by) in TIMES.items() if OBSERVED[0] < zero + low / by <= zero + high / by < OBSERVED[1]]
-    if len(frame) and next(iter(TIMES)) not in likely:
-        said = f"obs_time_tcb of {low:.8g} to {high:.8g} is not {next(iter(TIMES))}, when Gaia observed"
-        read.problems.append(f"{said}; the likely cause: {', or '.join(likely)}" if likely else said)
+    if len(frame) and not OBSERVED[0] < low <= high < OBSERVED[1]:
+        read.problems.append(f"obs_time_tcb of {low:.8g} to {high:.8g} is not ns since 2010.0, when Gaia observed")
     read.finish()
     frame.epochastrometryarchive.set_relative_time()
     return frame.assign(file=str(path), colour_factor_al=frame["colour_factor_al"] * COLOUR_FACTOR), read.notes
