@@ -28,8 +28,8 @@ from linksweep.sweep.running import run
 from linksweep.sweep.running.reproduce import study_of
 from linksweep.sweep.stores.integrity import LEDGER_THEN, STORE
 from linksweep.sweep.stores.ledger import Ledger, Record, references
-from linksweep.sweep.stores.location import Location, Where, holder, is_left_over, located, locked
-from linksweep.sweep.stores.store import CODE, OpenStore, Store, create_store, fits, is_new, store_at
+from linksweep.sweep.stores.location import Location, Where, holder, located, locked
+from linksweep.sweep.stores.store import CODE, OpenStore, Store, create_store, fits, store_at
 from linksweep.sweep.studies.record import RECORD, begun_by, recorded_study
 from linksweep.sweep.studies.study import LOST, PART, Part, Study, in_ranges
 
@@ -77,7 +77,8 @@ def merge(places: Sequence[Where], into: Where, *, accept_code: bool = False, tr
     sources = _sources(places, trust)
     _require_alike(sources, accept_code)
     place, part = located(into), sources[0].study.part
-    experiment = replace(_experiment(sources), parameters=sources[0].study.experiment.parameters)
+    every = [*_merged_before(place, sources[0], accept_code), *sources]
+    experiment = replace(_experiment(every), parameters=sources[0].study.experiment.parameters)
     study = replace(sources[-1].study, experiment=experiment, part=None)
     digests = {key[DIGEST] for source in sources for key in source.keys}.union(*(source.failed for source in sources))
     for source in reversed(sources[:-1]) if part is None else ():
@@ -86,16 +87,16 @@ def merge(places: Sequence[Where], into: Where, *, accept_code: bool = False, tr
     rounds = rounds_of(*(source.attributes for source in sources))
     origin = {MERGED: json.dumps(about)} | ({REFINED: json.dumps([*map(asdict, rounds)])} if rounds else {})
     require_free(place, study, about)
-    _require_same_bits(sources, experiment.reducer.dtype)
+    _require_same_bits(every, experiment.reducer.dtype)
     plan = Plan(make_grid(study) if part else Grid(study))  # the warnings of one run
     with locked(place):
         existing = run.find_store(place, study) or create_store(place, run.attributes_of(plan) | begun_by() | origin)
         store = run.open_store(existing, study, writes=True)
         store.keep_copy()
+        failed = _failures(every)
         store.clear_failures([*store.failures])
-        failed = _failures(sources)
         for source in sources:
-            failed |= _take(store, source, sources, experiment, failed if part else {})
+            failed |= _take(store, source, every, experiment, failed if part else {})
         store.flush()
         accumulator = run.accumulated(plan, store, wanted=frozenset())
         _fail(store, accumulator, failed)
@@ -105,8 +106,8 @@ def merge(places: Sequence[Where], into: Where, *, accept_code: bool = False, tr
 
 
 def require_free(place: Location, study: Study, about: Sequence[Mapping[str, Any]]) -> None:
-    """Raise SweepError for the place of a part, and unless the place is free, or has what a merge of the same stores
-    that was killed has left, or of parts of the same study.
+    """Raise SweepError for the place of a part, and unless the place is free, or has what a merge of the same stores,
+    or of parts of the same study, has left.
     """
     if Part.named(place):
         raise SweepError("is the place of a part; give another one with -o", str(place))
@@ -114,9 +115,8 @@ def require_free(place: Location, study: Study, about: Sequence[Mapping[str, Any
     if opened is None:
         return
     before = json.loads(opened.attributes.get(MERGED, "[]")) or [{}]
-    killed = before == about and (is_new(opened.root) or is_left_over(place))
-    parts = before[0].get("parts") == about[0].get("parts", "")  # of one study, to which no run has added points since
-    if not killed and not (parts and opened.attributes.get("study_digest") == about[0]["study_digest"]):
+    alike = before == about or before[0].get("parts") == about[0].get("parts", "")
+    if not alike or opened.attributes["study_digest"] != study.digest():  # a run has added points since
         raise SweepError("holds a store already; give a free place with -o", str(place))
 
 
@@ -142,15 +142,31 @@ def _sources(places: Sequence[Where], trust: bool) -> list[_Source]:
         if meant not in studies:
             studies[meant] = _study_in(opened, trust)
         study, layout = studies[meant]
-        part = Part.recorded(attributes)
-        kept = {key: attributes[key] for key in (*KEPT, *_COMPARED, REFINED, STORE, LEDGER_THEN) if key in attributes}
-        ledger = opened.ledger()
-        keys = tuple(ledger.rows)
-        sources.append(_Source(location, kept, replace(study, part=part), layout, ledger.dtype, keys, ledger.failures))
+        sources.append(_source(opened, study, layout))
     if not sources:
         raise SweepError(why, ", ".join(map(str, places[:3])))
     # Of stores that are no parts first one whose experiment has the parameters of all.
     return sorted(sources, key=lambda one: (one.study.part or Part(0, 0), -len(one.study.experiment.parameters)))
+
+
+def _source(opened: OpenStore, study: Study, layout: Layout | None) -> _Source:
+    attributes, ledger = opened.attributes, opened.ledger()
+    kept = {key: attributes[key] for key in (*KEPT, *_COMPARED, REFINED, STORE, LEDGER_THEN) if key in attributes}
+    study = replace(study, part=Part.recorded(attributes))
+    return _Source(opened.location, kept, study, layout, ledger.dtype, tuple(ledger.rows), ledger.failures)
+
+
+def _merged_before(place: Location, first: _Source, accept_code: bool) -> list[_Source]:
+    """Return the store that was made of other parts of a study before, if there is one; raises SweepError where other
+    code made it.
+    """
+    opened = store_at(place) if first.study.part else None
+    if opened is None or opened.attributes["study_digest"] != first.attributes["study_digest"]:
+        return []
+    merged = _source(opened, first.study, layout_of_record(json.loads(opened.attributes.get(RECORD, "{}"))))
+    if problems := _differences(merged, first, accept_code):
+        raise SweepError([f"cannot take {first.location}: these differ", *problems], str(place))
+    return [merged]
 
 
 def _study_in(opened: OpenStore, trust: bool) -> tuple[Study, Layout | None]:
@@ -237,28 +253,35 @@ def _require_same_bits(sources: Sequence[_Source], dtype: np.dtype[np.void]) -> 
             for why in (unfit or lost_integers(source.ledger().read(), dtype)).values():
                 raise SweepError(f"cannot be merged: {why}", str(source.location))
     first: dict[bytes, int] = {}
-    common: dict[tuple[int, int], list[bytes]] = defaultdict(list)
+    common: dict[int, dict[int, list[bytes]]] = defaultdict(lambda: defaultdict(list))
     for number, source in enumerate(sources):
         for key in source.keys:
             if (before := first.setdefault(key, number)) != number:
-                common[before, number].append(key)
-    for (i, j), some in common.items():
-        one, other = sources[i], sources[j]
-        ledgers = one.ledger(), other.ledger()
-        values = [converted(ledger.read(), dtype) for ledger in ledgers]
-        for key in some:
-            same = same_rows(*(rows[[ledger.rows[key]]] for rows, ledger in zip(values, ledgers, strict=True)))
-            if same and one.study.keeps_samples:
-                same = ledgers[0].samples(key).tobytes() == ledgers[1].samples(key).tobytes()
-            if not same:
-                places = {point.digest: describe(one.study, point.parameters) for point in Grid(one.study).points()}
-                words = places.get(key[DIGEST], "a point")
-                raise SweepError(f"has other numbers than {other.location} at {words}", str(one.location))
+                common[before][number].append(key)
+    for i, others in common.items():
+        one, ledger = sources[i], sources[i].ledger()
+        rows = converted(ledger.read(), dtype)
+        for j, some in others.items():
+            there = sources[j].ledger()
+            its = converted(there.read(), dtype)
+            for key in some:
+                same = same_rows(rows[[ledger.rows[key]]], its[[there.rows[key]]])
+                if same and one.study.keeps_samples:
+                    same = ledger.samples(key).tobytes() == there.samples(key).tobytes()
+                if not same:
+                    places = {point.digest: describe(one.study, point.parameters) for point in Grid(one.study).points()}
+                    words = places.get(key[DIGEST], "a point")
+                    raise SweepError(f"has other numbers than {sources[j].location} at {words}", str(one.location))
 
 
 def _failures(sources: Sequence[_Source]) -> dict[bytes, Record]:
-    """Return the failures of all stores: of a point that failed in several, that of the earliest block."""
-    records = (pair for source in reversed(sources) for pair in source.failed.items())
+    """Return the failures of all stores but those whose block one has by now: of a point that failed in several, that
+    of the earliest block.
+    """
+    records = [pair for source in reversed(sources) for pair in source.failed.items()]
+    digests = {digest for digest, _ in records}
+    there = {(key[DIGEST], _place(key)) for source in sources for key in source.keys if key[DIGEST] in digests}
+    records = [(digest, record) for digest, record in records if (digest, _block_of(record)) not in there]
     return dict(sorted(records, key=lambda pair: _block_of(pair[1]), reverse=True))
 
 
@@ -305,7 +328,12 @@ def _take(
 def _is_after(key: bytes, failed: Mapping[bytes, Record]) -> bool:
     """Return whether a block comes after the one at which its point has failed."""
     record = failed.get(key[DIGEST])
-    return record is not None and tuple(np.frombuffer(key, "<u4", 2, DIGEST_BYTES).tolist()) > _block_of(record)
+    return record is not None and _place(key) > _block_of(record)
+
+
+def _place(key: bytes) -> tuple[float, ...]:
+    """Return group and part of a block by its key."""
+    return tuple(np.frombuffer(key, "<u4", 2, DIGEST_BYTES).tolist())
 
 
 def _fail(store: Store, accumulator: Accumulator, failed: Mapping[bytes, Record]) -> None:

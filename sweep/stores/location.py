@@ -579,19 +579,10 @@ def locked(where: Where, *, break_lock: bool = False) -> Iterator[None]:
 
 def holder(where: Where) -> Holder | None:
     """Return who holds the lock of a store, None where nobody does or its process is known to have ended."""
-    other = _in_lock(located(where))
+    location = located(where)
+    with reading(location, f"its lock {_lock_of(location)} cannot be read"):
+        other = _parsed(location.parent.get(_lock_of(location)))
     return None if other is None or other.state() == "has ended" else other
-
-
-def is_left_over(where: Where) -> bool:
-    """Return whether a process that has ended left its lock: it was killed."""
-    other = _in_lock(located(where))
-    return other is not None and other.state() == "has ended"
-
-
-def _in_lock(location: Location) -> Holder | None:
-    with reading(location):
-        return _parsed(location.parent.get(_lock_of(location)))
 
 
 def _take(location: Location, mine: Holder, break_lock: bool) -> None:
