@@ -25,6 +25,7 @@ from typing import Annotated, Any
 
 import dask
 from distributed import Client, Future, KilledWorker, LocalCluster, Security, SpecCluster, WorkerPlugin, get_worker, rpc
+from distributed.utils import silence_logging_cmgr
 from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, ValidationError, ValidationInfo, field_validator
 from threadpoolctl import threadpool_limits
 from tornado.ioloop import PeriodicCallback
@@ -47,9 +48,6 @@ CLOSE_S = 0.5
 
 # Seconds between two looks whether a cluster has lost workers.
 REPLACE_EVERY_S = 5
-
-# Lets through what a logger of this name logs: nothing.
-NO_RECORDS = logging.Filter("linksweep.nobody")
 
 # Keeps modules of the present folder, which may be a stranger's, out of the processes of a cluster.
 SAFE_PATH = "PYTHONSAFEPATH"
@@ -80,7 +78,8 @@ def dask_workers(reference: str, resources: Resources, say: Callable[[str], None
     Raises SweepError where none answers, for anything wrong in the file, and for workers that would compute other
     numbers than this process.
     """
-    with without_logs(), ExitStack() as stack:
+    # What Dask's log says at length, we say in a sentence.
+    with silence_logging_cmgr(logging.CRITICAL + 1), ExitStack() as stack:
         if (client := resources.client) is not None:
             words = f"the Dask scheduler at {client.scheduler_info()['address']}"
             stack.enter_context(_lost_workers_replaced(client.cluster))
@@ -289,22 +288,6 @@ def _lost_workers_replaced(cluster: Any) -> Iterator[None]:
         yield
     finally:
         loop.add_callback(replacing.stop)
-
-
-@contextmanager
-def without_logs() -> Iterator[None]:
-    """Keep Dask's log off standard error in this block, since we say in a sentence what it says at length; other
-    handlers of its loggers are left alone.
-    """
-    # One of Dask's is that of all its loggers, of tornado's and of bokeh's.
-    handlers = [one for one in logging.getLogger("distributed").handlers if type(one) is logging.StreamHandler]
-    for handler in handlers:
-        handler.addFilter(NO_RECORDS)
-    try:
-        yield
-    finally:
-        for handler in handlers:
-            handler.removeFilter(NO_RECORDS)
 
 
 # The arguments of the `adapt` of a cluster, which takes any other without a word and then does nothing.
@@ -534,7 +517,7 @@ class DaskDriver:
             ended = Event()
             probe.add_done_callback(lambda _: ended.set())
             while not ended.wait(LOOK_EVERY_S):
-                self._look()
+                self._look(idle=True)
             answers = self.client.run(Identity.here, *arguments, on_error="return")
         except SweepError:
             raise
@@ -567,21 +550,26 @@ class DaskDriver:
                     raise
                 time.sleep(PAUSE_S)
 
-    def _look(self) -> None:
-        """Count the threads of the workers; raises SweepError where the connection is lost."""
+    def _look(self, idle: bool = False) -> None:
+        """Count the threads of the workers, and if they seem ``idle`` see whether Dask has paused all of them; raises
+        SweepError where the connection is lost.
+        """
         if self.client.status != "running":
             raise self._gone()
         try:
             threads = sum(self.client.nthreads().values())
+            workers = self.client.scheduler_info()["workers"].values() if idle and threads else ()
         except (OSError, TimeoutError) as error:
             raise self._gone() from error
         self._looked, self._threads = time.monotonic(), max(1, threads)
-        if threads:
+        is_paused = bool(workers) and all(one["status"] == "paused" for one in workers)
+        if threads and not is_paused:
             if self._waiting:
                 self._say(f"{self._where} has workers again")
             self._had_workers, self._waiting = self._looked, False
         elif not self._waiting and self._looked - self._had_workers > PATIENCE_S:
-            self._say(f"{self._where} has no workers; waiting for some")
+            why = "paused all workers, as their memory is nearly full" if is_paused else "no workers"
+            self._say(f"{self._where} has {why}; waiting for some")
             self._waiting = True
 
     def _warn(self, worker: str, texts: list[str]) -> None:
@@ -691,12 +679,11 @@ class DaskDriver:
         """Wait for futures that end, and watch the workers meanwhile; return them with their results, fetched in one
         message.  What fails so is fetched by itself later.
         """
-        if time.monotonic() - self._looked > LOOK_EVERY_S:
-            self._look()
-        try:
+        futures = []
+        with suppress(Empty):
             futures = [self._ended.get(timeout=LOOK_EVERY_S)]
-        except Empty:
-            return []
+        if time.monotonic() - self._looked > LOOK_EVERY_S:
+            self._look(idle=not futures)
         while len(futures) < MOST_FETCHED and not self._ended.empty():
             futures.append(self._ended.get())
         good = [future for future in futures if future.status == "finished"]

@@ -90,12 +90,14 @@ def test_a_worker_that_is_killed_or_stalls_costs_nothing_but_time(start, tmp_pat
 
 @pytest.mark.slow
 def test_workers_may_come_late_and_all_of_them_die_and_others_join(start, tmp_path, outside, reference):
+    paused = outside.start_worker("--no-nanny", "--memory-limit", "1MB")
+    outside.wait_for_workers(1)
     process = start("--scheduler", outside.address, waits=False)
-    lines_until("has no workers; waiting for some", process)
+    lines_until("has paused all workers, as their memory is nearly full; waiting for some", process)
     assert not (tmp_path / "s.zarr").exists()  # before a worker was compared with the client
     workers = [outside.start_worker(), outside.start_worker()]
     wait_until(lambda: rows_on_disk(tmp_path / "s.zarr"), "the first results")
-    outside.kill(*workers)
+    outside.kill(paused, *workers)
     before = lines_until("has no workers; waiting for some", process)
     outside.start_worker()
     err = to_its_end(process)
