@@ -307,7 +307,7 @@ def _take(
         if other or rows[key] in lost:
             why = f"{experiment.name}: {f'not as at the first point: {other}' if other else lost[rows[key]]}"
             refused[key[DIGEST]] = {"kind": "exception", "message": why, "traceback": "", "host": host(), "when": now()}
-        elif key not in store.rows and not _is_after(key, failed):
+        elif key not in store.rows and (key[DIGEST] not in failed or _place(key) < _block_of(failed[key[DIGEST]])):
             keys.append(key)
     records = run.records_of(source.attributes)
     starts = [record["first_row"] for record in records]
@@ -323,12 +323,6 @@ def _take(
             store.adopt(source.location, references(some))
             store.append(part, some, samples, seconds[places])
     return refused
-
-
-def _is_after(key: bytes, failed: Mapping[bytes, Record]) -> bool:
-    """Return whether a block comes after the one at which its point has failed."""
-    record = failed.get(key[DIGEST])
-    return record is not None and _place(key) > _block_of(record)
 
 
 def _place(key: bytes) -> tuple[float, ...]:
