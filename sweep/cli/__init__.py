@@ -396,6 +396,10 @@ def main() -> None:
     sweep new mine           a study of your own to start from
     sweep run FILE.py:FUNCTION --axis x=0:1:0.1    a function of your own
     """
+    try:
+        os.getcwd()
+    except FileNotFoundError as error:
+        raise linksweep.SweepError("the present folder was removed; change to another one") from error
 
 
 def command(section: str, summary: str, name: str | None = None) -> Callable[[Callable[..., Any]], click.Command]:

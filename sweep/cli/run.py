@@ -439,7 +439,7 @@ def status(store: "Location" = cli.STORE, as_json: bool = cli.JSON) -> None:
         cli.print_wrapped(f"by {report['command']}", later="   ")
     nexts = {
         f"sweep watch {name}": report["running"],
-        "the same command goes on": state == "stopped",
+        "the command that was stopped goes on": state == "stopped",
         f"sweep run --retry {name}": points["failed"] and not report["running"],
         f"sweep show {name}": report["complete"],
     }

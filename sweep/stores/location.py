@@ -565,7 +565,7 @@ def locked(where: Where, *, break_lock: bool = False) -> Iterator[None]:
     since = datetime.now(UTC).isoformat(timespec="seconds")
     mine = Holder(*_this_host(), os.getpid(), _start_of(os.getpid()), since, uuid4().hex)
     with location.parent.tidied():
-        with reading(location, "cannot be written"):
+        with reading(location, f"cannot be written: {_lock_of(location)}"):
             _take(location, mine, break_lock)
         try:
             yield

@@ -264,7 +264,8 @@ class Store(OpenStore):
         """Write a labelled dataset beside this store, of which files are ``lost``, and return where; large arrays that
         have a chunk among these are left out.
         """
-        names = (f"{self.location}.rescued{number if number > 1 else ''}" for number in itertools.count(1))
+        store = getattr(self.location, "path", self.location)  # whose folder may be the present one, and be gone
+        names = (f"{store}.rescued{number if number > 1 else ''}" for number in itertools.count(1))
         place = next(place for place in map(located, names) if place.is_free())
         beside = Store(create_store(place, {**dataset.attrs, RESCUED: str(self.location)}), writes=True)
         chunks = {n: one.data.used() for n, one in dataset.variables.items() if isinstance(one.data, ledgers.Stored)}

@@ -289,12 +289,17 @@ def test_places_where_no_store_is_or_can_be(here):
         check_refused(here, (command, "n" * 300), "nnn")
     for path in ("loop.zarr", "moved.zarr"):
         (here / path).symlink_to(path.replace("moved", "away"))
-    (here / "closed").mkdir()
+    for folder in ("closed", "held.zarr.lock", "gone"):
+        (here / folder).mkdir()
     moved = f"moved.zarr: {NOT_A_STORE}"
     for path, said in (("moved.zarr", moved), ("closed", "closed: no store there: the folder is empty")):
         check_refused(here, ("show", path), said)
     places = [("plan", "n" * 300, "nnn"), ("plan", f"{'n' * 300}/s.zarr", "nnn"), ("run", "loop.zarr", "loop.zarr")]
     places += [("run", "moved.zarr", moved), ("plan", "moved.zarr", moved)]
+    places += [("run", "held.zarr", "held.zarr: cannot be written: held.zarr.lock: Is a directory")]
     places += [("run", "study.toml/s.zarr", "study.toml/s.zarr: cannot be written: ")]
     for command, path, said in places:
         check_refused(here, (command, "study.toml", "-o", path), said)
+    command = ["sh", "-c", f"cd gone; rmdir ../gone; exec {sys.executable} -m linksweep run quasars"]
+    said = "error: the present folder was removed; change to another one\n"
+    assert subprocess.run(command, check=False, capture_output=True, text=True).stderr == said

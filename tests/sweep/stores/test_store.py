@@ -24,6 +24,7 @@ LOSSES = {  # what is done to a store, and what is lost
     "removed": (lambda store: removed(store, ""), "s.zarr"),
     "blocks": (lambda store: removed(store, "blocks"), "blocks/"),
     "moved": (lambda store: store.rename(store.with_name("moved")), "s.zarr"),
+    "with its folder": (lambda store: removed(store.parent, ""), "s.zarr"),
     "manifest": (lambda store: (store / opening.MANIFEST).unlink(), opening.MANIFEST),
     "root": (lambda store: (store / "zarr.json").write_text("{}"), ""),
 }
@@ -291,12 +292,13 @@ def test_a_run_whose_store_is_lost_says_so_and_keeps_what_was_computed(path, mon
             if self.done == 3:
                 change(path)
 
+    monkeypatch.chdir(path.parent)
     monkeypatch.setattr("linksweep.sweep.contract.rows.MOST_VALUES", 64)
     for name, value in OFTEN.items():
         monkeypatch.setattr(opening.TUNED, name, value)
     how = {"axes": {"x": range(1, 10)}, "pool": "serial"}
     with pytest.raises(SweepError, match=lost) if lost else nullcontext() as told:
-        linksweep.run(model, path, progress=Losing(), **how)
+        linksweep.run(model, path.name, progress=Losing(), **how)
     if told is None:  # the last write has set it right
         assert (bool(check(path)), linksweep.open(path).attrs["complete"]) == (False, 1)
         return
@@ -309,5 +311,6 @@ def test_a_run_whose_store_is_lost_says_so_and_keeps_what_was_computed(path, mon
     assert np.array_equal(done.y.values, done.x.values**2)
     assert done.name.values.tolist() == [f"{x:g}" for x in done.x.values]
     assert opening.holder(path) is None
+    monkeypatch.chdir("/")
     with pytest.raises(SweepError, match="holds results of a store that was lost"):
         linksweep.run(model, f"{path}.rescued", **how)
