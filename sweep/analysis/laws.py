@@ -52,7 +52,7 @@ MEANINGS = {
     "pivot": ("axis", "{over} of the amplitude"),
     "plateau": ("quantity", "{variable} that the law tends to; NaN if it does not level off"),
     "rate": ("per axis", "rate at which the square of {variable} levels off"),
-    "end_fall": ("per axis", "relative fall at the last {over}"),
+    "end_fall": ("per axis", "fraction by which {variable} falls per unit at its rate at the last {over}"),
     "limit": ("axis", "{over} beyond which {variable} falls by less than wanted"),
     "chi2": ("", "sum of squared residuals in units of their errors"),
     "dof": ("", "degrees of freedom of chi2"),
@@ -746,10 +746,10 @@ def levelling(x: Array, y: Array, errors: Array, fall: float, samples: float = n
     def derived(parameters: Array) -> Array:
         start, end, rate = np.exp(parameters[0]), np.exp(parameters[1]), parameters[2]
         floor = 0.0 if rate <= 0.0 else max(start + (end - start) / -np.expm1(-rate), 0.0)  # what y^2 tends to
-        end_fall = 0.5 * (start - end) / end / exprel(rate) / length
-        limit = np.inf if end_fall > fall else -np.inf
-        if floor > 0.0 and end < start and rate / length > 2.0 * fall:  # its fall is rate/2 before the plateau counts
-            limit = first + length * np.log((start - floor) / floor * (0.5 * rate / length / fall - 1.0)) / rate
+        end_fall = -np.expm1(0.5 * (end - start) / end / exprel(rate) / length)
+        limit, most = np.inf if end_fall > fall else -np.inf, -0.5 * rate / length / np.log1p(-fall)
+        if floor > 0.0 and end < start and most > 1.0:  # where the plateau does not count yet, it falls by most
+            limit = first + length * np.log((start - floor) / floor * (most - 1.0)) / rate
         return np.array([scale * np.sqrt(floor), rate / length, end_fall, limit])
 
     values = derived(best)

@@ -134,7 +134,7 @@ def levelled(seed, quality=1.0):
 def derived(x, fall, plateau, size, rate):
     def slope(at):
         part = size * np.exp(-rate * at)
-        return 0.5 * rate * part / (plateau**2 + part)
+        return 1.0 - np.exp(-0.5 * rate * part / (plateau**2 + part))
 
     reach = 60.0 / rate
     return slope(x[-1]), brentq(lambda at: slope(at) - fall, x[0] - reach, x[-1] + reach)
@@ -174,9 +174,10 @@ def test_a_law_too_slow_for_the_fall_falls_by_less_everywhere(seed, times):
     x, _, relative, truth = levelled(seed)
     y = level(x, *truth)
     for share, meets in ((0.5 * times, False), (0.5 / times, True)):
-        found = linksweep.fit_levelling(results(x, y, relative * y), "width", "n", fall=share * truth[2])
+        fall = 1.0 - np.exp(-share * truth[2])
+        found = linksweep.fit_levelling(results(x, y, relative * y), "width", "n", fall=fall)
         if meets:
-            assert found["limit"].item() == pytest.approx(derived(x, share * truth[2], *truth)[1], rel=1e-3)
+            assert found["limit"].item() == pytest.approx(derived(x, fall, *truth)[1], rel=1e-3)
         else:
             assert (found["limit"].item(), found["conclusion"].item()) == (-np.inf, "falls by less everywhere")
     rising = linksweep.fit_levelling(results(x, y[::-1], relative * y), "width", "n")
