@@ -466,8 +466,8 @@ def positions(axes: Axes, dataset: xr.Dataset, axis: str, which: str) -> Array:
     texts = [style.SWITCH[name] if is_truth else style.value_text(dataset, axis, str(name)) for name in names]
     style.name_ticks(axes, which, texts)
     places = np.array([names.index(value) for value in values], dtype=float)
-    if array.dims == (POINT,):  # spread a little, so that points do not hide each other: golden steps keep them apart
-        places += 0.5 * (np.arange(array.size) * 0.6180339887498949 % 1.0 - 0.5)
+    if array.dims == (POINT,):  # spread a little in both directions, so that points do not hide each other: R2 sequence
+        places += 0.5 * (np.arange(array.size) * {"x": 0.7548776662, "y": 0.5698402910}[which] % 1.0 - 0.5)
     return places
 
 

@@ -218,6 +218,9 @@ def test_points_are_drawn_over_each_parameter_and_never_joined_crossed_axes_are_
     offsets = np.asarray(figure.axes[0].collections[0].get_offsets())
     assert np.array_equal(np.sort(offsets, axis=0), np.sort(np.stack([points.x, points.k], axis=1), axis=0))
     assert np.array_equal(np.sort(figure.axes[0].collections[0].get_array()), np.sort(points.y.values[:, 1]))
+    named = points.isel(scale=1).assign_coords(k=("point", ["a", "b"] * 8))  # names are spread in both directions
+    offsets = np.asarray(linksweep.plot(named, kind="pairs", over=["k", "kind"]).axes[0].collections[0].get_offsets())
+    assert abs(np.corrcoef((offsets - offsets.round()).T)[0, 1]) < 0.5
 
 
 @pytest.mark.slow
