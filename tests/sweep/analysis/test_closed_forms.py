@@ -173,8 +173,7 @@ def test_a_law_too_slow_for_the_fall_falls_by_less_everywhere(seed, times):
     """Its logarithm falls by at most rate/2 a unit, where the plateau does not count yet."""
     x, _, relative, truth = levelled(seed)
     y = level(x, *truth)
-    for share, meets in ((0.5 * times, False), (0.5 / times, True)):
-        fall = 1.0 - np.exp(-share * truth[2])
+    for fall, meets in ((-np.expm1(-0.5 * times * truth[2]), False), (-np.expm1(-0.5 / times * truth[2]), True)):
         found = linksweep.fit_levelling(results(x, y, relative * y), "width", "n", fall=fall)
         if meets:
             assert found["limit"].item() == pytest.approx(derived(x, fall, *truth)[1], rel=1e-3)
