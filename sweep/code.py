@@ -311,7 +311,7 @@ class Reach:
         """
         kind = type(value)
         if kind in PLAIN:
-            return without_package(repr(value))
+            return repr(value)
         if (code := self._code(value)) is not None:
             return code
         if id(value) in known:
@@ -321,7 +321,7 @@ class Reach:
         known[id(value)] = value, number
         try:
             forms = [self._form(one, known) for one in self._pieces(value)]
-            inside = ", ".join(sorted(forms) if kind in (set, frozenset) else forms)
+            inside = without_package(", ".join(sorted(forms) if kind in (set, frozenset) else forms))
             # Digested where it is long: objects that share parts would else repeat their text at each level.
             text = f"{self._label(kind)} [{inside if len(inside) < LONGEST else digest_of(inside)}]"
         except Exception:  # whatever keeps an object from being taken apart; also where it is too deep

@@ -119,7 +119,7 @@ class Layout:
             path, name = inner_path, inner
         self.kinds.append(kind := self.only if self.only in ENDS else chance.choice(sorted(ENDS)))
         modules[path] = ["", ENDS[kind].replace("CONSTANT", constant).replace("NAME", name) + effect]
-        modules["main.py"].append("def f(x: float = 1.0):\n    return h(x)")
+        modules["main.py"].append("import alone\n\nALL = [alone, 1]\n\ndef f(x: float):\n    return h(x) if ALL else x")
         for file, (head, *blocks) in modules.items():
             body = [*blocks, UNUSED.replace("OTHER", "8.0" if cosmetic else "7.0")]
             if cosmetic:
@@ -130,7 +130,7 @@ class Layout:
             where = (folder / "project" / file).resolve()
             where.parent.mkdir(parents=True, exist_ok=True)
             where.write_text('"""A module."""\n' * cosmetic + "\n\n\n".join([head, *body]) + "\n")
-        for package in ("project/local", "lib/pkg", "lib/pkg/sub"):
+        for package in ("project/alone", "project/local", "lib/pkg", "lib/pkg/sub"):
             (folder / package).mkdir(parents=True, exist_ok=True)
             files = [((folder / "project" / file).resolve(), name) for file, name in self._reexported]
             here = [(file.stem, name) for file, name in files if file.parent == (folder / package).resolve()]
