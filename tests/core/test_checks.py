@@ -159,9 +159,10 @@ def test_an_object_with_most_of_the_weight_is_named_with_its_share(tmp_path):
     v_mag, (ra, dec, *_) = np.array([9.37, *np.full(40, 15.0)]), points.sky(41)
     columns = {"Name": ["Mrk 421", *(f"q{k}" for k in range(40))], "ra": np.degrees(ra), "dec": np.degrees(dec)}
     Table(columns | {"v_mag": v_mag}).write(tmp_path / "sky.ecsv")
-    one = point(catalogue="file", file=table_file(tmp_path / "sky.ecsv"), n_obj=None, model="amex")
+    both = {"model": "amex", "reference_errors": "normal", "reference_sigma_pm": 0.5}  # variances add up
+    one = point(catalogue="file", file=table_file(tmp_path / "sky.ecsv"), n_obj=None, **both)
     (found,) = link.warn(one)
-    weight = MISSIONS["amex"].sigma_pm_mas_yr(v_mag) ** -2.0
+    weight = 1.0 / (MISSIONS["amex"].sigma_pm_mas_yr(v_mag) ** 2 + 0.5**2)
     assert f"row 1 (Mrk 421, V = 9.37) holds {100 * weight[0] / weight.sum():.0f} % of the weight" in found
     assert link.warn(one | {"v_min": 10.0}) == []
     alike = {"reference_errors": "normal", "reference_sigma_pos": 1e3, "reference_sigma_pm": 1e3}

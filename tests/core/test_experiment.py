@@ -19,7 +19,8 @@ VALUES |= {"zone_of_avoidance": [0.0, 15.0], "sky_contrast": [0.0, 0.4], "n_obj"
 VALUES |= {name: [False, True] for name in ("solve_glide", "corrections", "aberration")}
 POINTS = st.fixed_dictionaries({name: st.sampled_from(values) for name, values in VALUES.items()})
 SHARED, N_SIM = st.sets(st.sampled_from(sorted(link.shared)), max_size=6), [1, 7, 200, points.ROWS, points.ROWS + 3]
-SEEDS, OTHER = st.integers(0, 2**32 - 1), points.OTHER | {"satellite_sigma_pm": 0.0}  # motions are not measured
+SEEDS, NONE = st.integers(0, 2**32 - 1), {"satellite_sigma_pm": 0.0, "satellite_sigma_pos": 0.0}  # not measured
+OTHER = points.OTHER | NONE
 RANDOM = {"directions": "random", "epsilon": (1.0, 2.0, 3.0)}
 RATIO = {"satellite_error_ratio": 2.0, "satellite_errors": "normal"}
 NORMAL = {"reference_errors": NormalErrors(10.0, 1.0), "satellite_errors": NormalErrors(1.0, 1.0)}

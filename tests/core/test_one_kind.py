@@ -88,17 +88,6 @@ def test_the_orientation_that_turns_motions_is_taken_as_known(corrections, metho
     assert np.all(np.abs(found["bias"][0, 3:] - bias) < 4.5 * sigma / np.sqrt(2000.0))
 
 
-def test_the_spin_has_the_numbers_that_it_has_beside_positions():
-    """What is determined does not change with the other kind, nor with who shares the block."""
-    three = [{}, {"satellite_sigma_pos": 0.0}, {"satellite_sigma_pm": 0.0}]
-    three = [points.link.defaults() | {"satellite_errors": "normal", "n_obj": 20} | changes for changes in three]
-    together, alone = results(*three), [results(one) for one in three]
-    for name, values in together.items():
-        np.testing.assert_array_equal(values, np.concatenate([one[name] for one in alone]), err_msg=name)
-    assert together["sigma_spin"][1] == pytest.approx(together["sigma_spin"][0], rel=1e-12)
-    assert together["sigma_orientation"][2] == pytest.approx(together["sigma_orientation"][0], rel=1e-12)
-
-
 def test_a_glide_is_solved_for_with_motions_alone_and_refused_without(tmp_path):
     at = point(tmp_path, "motions", solve_glide=True, aberration=True)
     assert points.link.check(at) is None

@@ -20,10 +20,11 @@ def sky(n, seed=3):
     return points.Catalogue(*points.sky(n, seed, 0.0), np.random.default_rng(99).uniform(10.0, 20.0, n))
 
 
-def gain_of(setup):
-    """N^-1 K'W; shape (6, 4, N)."""
-    c = setup.catalogue
-    return solve(design_matrix(c.ra, c.dec, c.pmra, c.pmdec), np.zeros((4, len(c))), setup.sigma.T).gain
+def solved(setup, differences=0.0):
+    """The link of differences (2, N) of the motions alone, by NumPy."""
+    c, both = setup.catalogue, np.zeros((4, len(setup.catalogue)))
+    both[2:] = differences
+    return solve(design_matrix(c.ra, c.dec, c.pmra, c.pmdec), both, setup.sigma.T)
 
 
 def kernel(errors, distance):
@@ -81,7 +82,7 @@ def test_what_zonal_errors_do_to_the_link_is_predicted(satellite_errors):
     """G Sigma G' with the whole 4N x 4N covariance, formed from the kernel's harmonics and NumPy."""
     catalogue, zonal = sky(50), {"zonal_pos": 2.0, "zonal_pm": 0.7, "zonal_length": 25.0}
     setup = set_up(catalogue, scenario(point(satellite_errors=satellite_errors, **zonal)))
-    gain, covariance = gain_of(setup), field_covariance(scenario(point(**zonal)).zonal, catalogue)
+    gain, covariance = solved(setup).gain, field_covariance(scenario(point(**zonal)).zonal, catalogue)
     expected = np.einsum("kin,lin,ni->kl", gain, gain, setup.satellite.sigma**2)
     for part, sigma in ((slice(0, 2), 2.0 * MAS), (slice(2, 4), 0.7 * MAS)):
         flat = gain[:, part].reshape(6, -1)
@@ -91,7 +92,7 @@ def test_what_zonal_errors_do_to_the_link_is_predicted(satellite_errors):
 
 
 def test_the_leak_of_known_fields_is_predicted():
-    """bias = N^-1 K'W f, by NumPy; a study's estimates are biased by as much."""
+    """Estimates are biased by the link of the fields, and chi2 by its chi2: it is noncentral."""
     known = {"omega_slope": (0.3, -0.1, 0.2), "magnitude_equation_pmra": 0.4, "magnitude_equation_pmdec": -0.3}
     known |= {"v_zero": 12.0, "motion_field": "t_2_0=0.5,s_2_1_re=-0.7"}
     catalogue = sky(40)
@@ -101,9 +102,10 @@ def test_the_leak_of_known_fields_is_predicted():
     turning = np.cross(np.outer(v_mag, known["omega_slope"]), r.T).T
     field = pattern_field(parse_pattern(known["motion_field"]), catalogue.ra, catalogue.dec)
     f = np.array([np.sum(turning * p, axis=0) - 0.4 * v_mag, np.sum(turning * q, axis=0) + 0.3 * v_mag]) - field
-    expected = np.einsum("kin,in->k", gain_of(setup)[:, 2:], f * MAS)
-    assert np.abs(expected[3:]).min() > 0.01 * MAS
-    np.testing.assert_allclose(points.design_of(setup).bias, expected, atol=1e-7 * MAS)
+    expected, design = solved(setup, f * MAS), points.design_of(setup)
+    assert np.abs(expected.estimate[3:]).min() > 0.01 * MAS
+    np.testing.assert_allclose(design.bias, expected.estimate, atol=1e-7 * MAS)
+    assert design.chi2_variance() == pytest.approx(2.0 * (4 * 40 - 6) + 4.0 * expected.chi2, rel=1e-6)
 
 
 def leaks(n_cat, **changes):

@@ -123,3 +123,5 @@ def test_the_medians_of_repeated_timings(repetitions):
     found = [_dataset(np.array([1]), timed).sel(kind="strong") for timed in seconds]
     pulls = [((each["seconds"] - 10.0) / each["seconds_error"]).item() for each in found]
     assert_covers(pulls, repetitions - 1)
+    of_mean = seconds[0, 0, 0, :, 0].var(ddof=1) / repetitions * (repetitions - 1) / (repetitions - 3)
+    assert found[0]["seconds_error"].item() == pytest.approx(np.sqrt(np.pi / 2.0 * of_mean))

@@ -125,6 +125,8 @@ def test_a_point_gets_realisations_rather_than_neighbours_below_its_error_and_no
     assert ds.sel(x=far).y_mean.equals(base.sel(x=far).y_mean)  # to the bit
     lavish = linksweep.refine(noisy, "n.zarr", within=0.005, max_realisations=10**5, **goal)
     assert abs(float(linksweep.find(lavish, "y_mean > 0", "x")["first"]) - 0.4321) < 0.0075
+    # of 400, two errors are 0.01 and a bit more: twice as exact takes just over four times as many, in doublings
+    assert [*rounds(lavish)[len(rounds(ds))]["n_sim"].values()] == [3200]
     mine = linksweep.run(noisy, "n.zarr", axes=ELEVEN, sampling=goal["sampling"], pool="serial")
     assert bare(mine).equals(bare(lavish.sel(x=ELEVEN["x"])))
     ds = linksweep.refine(shelf, within=0.01, **goal | {"sampling": {"n_sim": 50, "seed": 8}})

@@ -84,7 +84,7 @@ def written(folder, deed, *places):
 @pytest.mark.parametrize(("deed", "resources"), [*QUICK, *(slow(*case) for case in CASES if case not in QUICK)])
 def test_a_function_that_ends_its_process_at_its_first_points_fails_these_alone(tmp_path, sweep_here, deed, resources):
     code, said = (ENDINGS | LIMITED)[deed]
-    reference = written(tmp_path, code, 0, 1, 4)
+    reference, _larger = written(tmp_path, code, 0, 1, 4), np.ones(2**25)  # 268 MB, which copies do not take again
     code, _, err = sweep_here("run", reference, "--axis", "x=0:5:1", "-o", "s.zarr", *resources.split(), cwd=tmp_path)
     assert (code, "3 points failed" in err, "distributed" in err, "Traceback" in err) == (1, True, False, False), err
     ds = xr.open_zarr(tmp_path / "s.zarr")
@@ -296,7 +296,9 @@ def test_global_generators_give_the_same_on_all_pools_and_another_number_at_each
         return np.random.normal() + random.random()  # noqa: NPY002
 
     how = enumerate([({"pool": "serial"}, 3), (options, 3), ({"pool": "serial"}, 4)])
-    runs = [run(f, tmp_path / f"{k}", axes=THREE, sampling={"n_sim": 10, "seed": seed}, **o) for k, (o, seed) in how]
+    kept = {"n_sim": 600, "keep_samples": True}  # two blocks
+    runs = [run(f, tmp_path / f"{k}", axes=THREE, sampling=kept | {"seed": seed}, **o) for k, (o, seed) in how]
+    assert np.unique(runs[0].f_samples).size == 3 * 600
     values, others, unlike = (ds.f_mean.values.tolist() for ds in runs)
     assert (len({*values, *unlike}), others) == (6, values)
 

@@ -109,6 +109,10 @@ def test_errors_of_a_law_of_two_values_hold_the_truth_exactly_as_often(kind, n):
         ):  # steps of one realisation are up to 3 % of the copies
             inside = np.abs(value - is_) <= 2.0 * error
             assert CLOSE[0] - 0.001 < likely[inside].sum() / likely[np.isfinite(error)].sum() < most
+    between = np.linspace(*np.clip([mean - 2.0 * of_mean, mean + 2.0 * of_mean], low, high), 2001)  # likely means
+    spreads = np.sqrt((between - low) * (high - between))
+    expected = np.hypot(spreads.max(axis=0) - std, std - spreads.min(axis=0)) / np.sqrt(8.0)
+    np.testing.assert_allclose(of_std, np.where(np.isnan(of_std), np.nan, expected), rtol=1e-3)
     for count, of_count in counts:
         assert count.tolist() == list(range(n + 1))
         np.testing.assert_allclose(of_count, n * of_mean, rtol=1e-12)

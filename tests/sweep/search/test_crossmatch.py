@@ -90,17 +90,6 @@ def test_positions_at_another_epoch_are_those_of_astropy():
     np.testing.assert_allclose(here.dec_error / MAS, 100.0)
 
 
-@settings(derandomize=True)
-@given(st.lists(st.tuples(st.integers(0, 8), st.integers(0, 8)), unique=True, max_size=40))
-def test_one_to_one_is_the_greedy_loop(pairs):
-    kept = []
-    for row, (a, b) in enumerate(pairs):
-        if all(a != pairs[other][0] and b != pairs[other][1] for other in kept):
-            kept.append(row)
-    table = pd.DataFrame(pairs, columns=["a", "b"], dtype=np.int64)
-    assert crossmatch.one_to_one(table, "a", "b").index.tolist() == kept
-
-
 def on_grid(points, radius=0.0):
     x, y, names = np.array(points).T
     return catalogue(positions((x - 6) / 3600.0 % 360.0, y / 3600.0), radius, names)
@@ -154,6 +143,11 @@ def test_each_rule_of_the_classes_in_a_search():
     kinder = SearchOptions(k_sigma=4.5, crowding_radius=100.0)
     kinder = cross_match(stars, supplement, [catalogue(galaxies, 5.0)], kinder)
     assert kinder["class"].tolist() == ["certain", "certain", "certain", "uncertain", "supplement"]
+    # the first star is taken when the second galaxy is looked at, which is then left to the second star
+    stars, two = (positions([10.0, 10.0], np.array(north) / 3600.0) for north in ([1.0, 5.5], [0.0, 3.0]))
+    assert cross_match(stars, supplement[:2], [catalogue(two, 5.0)], SearchOptions())["entry"].tolist() == [0, 1]
+    same = [catalogue(galaxies.take([0]), 5.0, [name]) for name in (9, 5)]  # at one place: the first catalogue decides
+    assert cross_match(galaxies.take([0]), supplement[:1], same, SearchOptions())["identifier"].tolist() == [9]
 
 
 def test_local_chance_pairs_follow_the_crowding():

@@ -229,8 +229,10 @@ def test_names_of_vizier_are_read_and_j2000_is_no_epoch_unless_that_is_said(tmp_
         np.testing.assert_allclose(less[3], plain[3] * np.cos(made.values[1]), rtol=1e-12)
     assert set(read.astrometry.epoch) == {2000.0}
     assert any(f"positions are of 2000, says column {ra!r}" in note for note in read.notes)
+    table["Epoch"][0] = 2000.0  # one row
     with pytest.raises(SweepError, match=f"column {ra!r} is of 2000, as its description says, or of the epochs in"):
         read_table(written(" at Epoch=J2000, proper motions taken into account"))
+    table["Epoch"][0] = 2016.0
     motions = ("pmRA", "pmDE", "e_pmRA", "e_pmDE", *(name for name in pairs if "pm" in name))
     for stated, absent in (("", ()), (" (ICRS) at Ep=2015.0", motions)):  # the second may be a table of quasars
         with pytest.raises(SweepError, match="no column ref_epoch"):
