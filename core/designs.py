@@ -218,10 +218,6 @@ class Projected:
 
     def __init__(self, design: FixedDesign) -> None:
         setup = design.setup
-        if setup.reference.factor is not None or setup.satellite.factor is not None:
-            raise LinkError("the projected method needs uncorrelated errors: otherwise chi2 has no chi-square law")
-        if not (setup.reference.as_weighed and setup.satellite.as_weighed):
-            raise LinkError("the projected method needs true errors that equal those in the weights, and no zonal ones")
         worst = float(np.max(neglected(design)))
         if worst > LARGEST_NEGLECT:
             said = f"the projected method would neglect {worst:.2g} of sigma with these errors of the reference:"
