@@ -330,15 +330,13 @@ def read_cluster_file(path: Path) -> ClusterFile:
     """Return what a TOML or YAML file says about a cluster; raises SweepError with everything that is wrong in it."""
     import yaml
 
-    try:
+    with refused(OSError, UnicodeDecodeError, said="cannot be read: ", where=path):
         text = path.read_text(encoding="utf-8")
-        document = yaml.safe_load(text) if path.suffix in (".yaml", ".yml") else tomllib.loads(text)
+    kind = "YAML" if path.suffix in (".yaml", ".yml") else "TOML"
+    with refused(tomllib.TOMLDecodeError, yaml.YAMLError, said=f"not valid {kind}: ", where=path):
+        document = yaml.safe_load(text) if kind == "YAML" else tomllib.loads(text)
+    try:
         return ClusterFile.model_validate(document)
-    except (OSError, UnicodeDecodeError) as error:
-        raise SweepError(f"cannot be read: {error}", str(path)) from error
-    except (tomllib.TOMLDecodeError, yaml.YAMLError) as error:
-        kind = "YAML" if isinstance(error, yaml.YAMLError) else "TOML"
-        raise SweepError(f"not valid {kind}: {' '.join(str(error).split())}", str(path)) from error
     except ValidationError as error:
         raise SweepError([_problem(item) for item in error.errors()], str(path)) from error
 
@@ -379,8 +377,7 @@ LOOK_EVERY_S = 1.0
 # Seconds without workers before the user is told: a worker that died is replaced sooner.
 PATIENCE_S = 3.0
 
-# Attempts to bring the workers what they need while some of them leave, or a task that fails outside of the experiment
-# to an end, with a pause after each.
+# Attempts to bring a task that fails outside of the experiment to an end, with a pause after each.
 MAX_ATTEMPTS = 6
 
 PAUSE_S = 0.25
@@ -508,10 +505,10 @@ class DaskDriver:
         """
         arguments = self._reference, source_digest(self._reference)
         try:
-            self._register(TaskPlugin())
+            self.client.register_plugin(TaskPlugin())
             in_this_process = str(self.client.scheduler_info()["address"]).startswith("inproc://")
             if not in_this_process and (sources := sendable(self._reference)) is not None:
-                self._register(SourcesPlugin(sources))
+                self.client.register_plugin(SourcesPlugin(sources))
             # Where there is no worker yet, an adaptive cluster starts one for this.
             probe = self.client.submit(Identity.here, *arguments, pure=False)
             ended = Event()
@@ -538,17 +535,6 @@ class DaskDriver:
         """Return a phrase for everything that decides the numbers and differs in a worker."""
         self._expected = self._expected.beside(there, self._reference)
         return [f"{worker}: {text}" for text in self._expected.differences(there)]
-
-    def _register(self, plugin: WorkerPlugin) -> None:
-        """Bring a plugin to all workers; some of them may leave meanwhile."""
-        for attempt in range(MAX_ATTEMPTS):
-            try:
-                self.client.register_plugin(plugin)
-                return
-            except OSError:
-                if self.client.status != "running" or attempt == MAX_ATTEMPTS - 1:
-                    raise
-                time.sleep(PAUSE_S)
 
     def _look(self, idle: bool = False) -> None:
         """Count the threads of the workers, and if they seem ``idle`` see whether Dask has paused all of them; raises

@@ -152,7 +152,7 @@ def _read_signature(function: Callable[..., Any], problems: list[str]) -> "Funct
         problems.append(f"is a method and takes {first}; give the method of an object, thing.{name}")
         arguments = {}
     parameters, rng, inner = [], RNG in arguments, inspect.unwrap(call)
-    names = getattr(inner, "__globals__", {}) | {one.__name__: one for one in getattr(inner, "__type_params__", ())}
+    names = getattr(inner, "__globals__", {})
     for argument in arguments.values():
         if argument.kind not in (argument.POSITIONAL_OR_KEYWORD, argument.KEYWORD_ONLY):
             problems.append(f"{argument} is {argument.kind.description}, and parameters are given by name; {wrap}")
@@ -218,8 +218,6 @@ def _kind(annotation: Any) -> tuple[Kind | None, tuple[Any, ...]]:
     """Return the kind of parameter that an annotation means, None for none, and its choices."""
     origin, args, choices = get_origin(annotation), get_args(annotation), tuple[Any, ...]()
     kinds: set[Kind | None]
-    if isinstance(annotation, TypeVar):
-        args = annotation.__constraints__ or (annotation.__bound__ or Any,)
     if origin is Annotated:
         return _kind(args[0])
     if (meant := getattr(annotation, "__supertype__", getattr(annotation, "__value__", None))) is not None:
@@ -227,7 +225,7 @@ def _kind(annotation: Any) -> tuple[Kind | None, tuple[Any, ...]]:
     if origin is Literal:
         choices = tuple(one for one in args if one is not None)
         kinds = {KINDS.get(type(choice)) for choice in choices}
-    elif args and origin in (Union, types.UnionType, Final, None):
+    elif args and origin in (Union, types.UnionType, Final):
         parts = [_kind(part) for part in args if part is not type(None)]
         kinds = {kind for kind, _ in parts}  # without None, of which `Parameter.optional` tells
         if kinds == {"int", "float"}:

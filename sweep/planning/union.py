@@ -93,7 +93,8 @@ def united(stored: Study, asked: Study, in_ledger: Collection[bytes] = (), *, is
     are_lost = any(one.labels and {*one.names} != {*tables[0].names} for one in tables)
     sides = (theirs, was, theirs.repeated(places)), (mine, now, mine.repeated(mine.indices()))
     repeat = _repeat(rows, () if points is None else points.names, *sides)
-    is_sparse = math.prod(map(len, rows.values())) > _most_places(len(places) + len(mine))
+    both = len(places) + len(mine)
+    is_sparse = math.prod(map(len, rows.values())) > max(SMALL, min(MAX_POINTS, SPARSEST * both, both + MOST_LEFT_OUT))
     axes, is_table = _columns(rows), are_lost or repeat or not _is_crossed(theirs, mine) or is_sparse
     if is_table or Grid(replace(asked, axes=axes, zipped=tuple(rows), points=points)).divided:
         names = tuple(dict.fromkeys([*stored.axes, *asked.axes, *changed]))
@@ -129,11 +130,6 @@ def united(stored: Study, asked: Study, in_ledger: Collection[bytes] = (), *, is
     overrides = asked.overrides if is_same or EARLIER in asked.overrides else (*asked.overrides, EARLIER)
     conclusion = asked.conclusion if axes.keys() == asked.axes.keys() else None
     return replace(result, overrides=overrides, conclusion=conclusion, sections=_sections(stored, asked, conclusion))
-
-
-def _most_places(points: int) -> int:
-    """Return how many places a grid may have for so many points; where it had more, they are a table."""
-    return max(SMALL, min(MAX_POINTS, SPARSEST * points, points + MOST_LEFT_OUT))
 
 
 def _repeat(rows: Rows, table: tuple[str, ...], *sides: Side) -> bool:
