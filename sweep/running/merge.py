@@ -136,13 +136,11 @@ def _sources(places: Sequence[Where], trust: bool) -> list[_Source]:
         if opened is None and Part.named(location):
             continue  # it is named when the others are merged
         opened = opened or OpenStore(location)
-        attributes = opened.attributes
         # A thousand parts of a study have one study, which may be large.
-        meant = tuple(attributes.get(key) for key in ("study_document", "study_meaning", RECORD))
+        meant = tuple(opened.attributes.get(key) for key in ("study_document", "study_meaning", RECORD))
         if meant not in studies:
             studies[meant] = _study_in(opened, trust)
-        study, layout = studies[meant]
-        sources.append(_source(opened, study, layout))
+        sources.append(_source(opened, *studies[meant]))
     if not sources:
         raise SweepError(why, ", ".join(map(str, places[:3])))
     # Of stores that are no parts first one whose experiment has the parameters of all.

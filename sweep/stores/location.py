@@ -199,10 +199,9 @@ class Folder:
     @contextmanager
     def tidied(self) -> Iterator[None]:
         """Remove folders that were not there before and are empty now."""
-        folders = (self.path, *self.path.parents)
         # The lock beside a store makes `results/` even for a run that is refused a moment later.
         # No error where a name is too long.
-        missing = [folder for folder in folders if not os.path.exists(folder)]
+        missing = [folder for folder in (self.path, *self.path.parents) if not os.path.exists(folder)]
         try:
             yield
         finally:

@@ -224,8 +224,8 @@ def test_results_that_differ_in_kind_between_parts_fail_as_in_one_run(tmp_path):
     axes = {"axes": {"k": [1, 2, 3, 4, 5, 6]}}
     linksweep.run(f"{tmp_path}/f.py:f", tmp_path / "w", pool="serial", **axes)
     stores = run_parts(f"{tmp_path}/f.py:f", tmp_path / "s", range(1, 7), 6, **axes)
-    for some in (stores[:3], stores[3:]):
-        merge(some, tmp_path / "s")
+    merge(stores[:3], tmp_path / "s")
+    merge(stores[3:], tmp_path / "s")
     require_same(tmp_path / "s", tmp_path / "w")
 
 

@@ -183,22 +183,18 @@ def test_a_link_that_comes_during_a_run_is_not_followed(tmp_path):
 # One run at a time writes to a store: holders are real processes; test_interrupt.py has two runs.
 
 
-def put_lock(place, content):
-    location = located(place)
-    location.parent.put(f"{location.name}.lock", content)
+def lock_file(place, content=None):
+    """Return the content of the lock of a store, or write another one."""
+    folder, key = located(place).parent, f"{located(place).name}.lock"
+    return folder.get(key) if content is None else folder.put(key, content)
 
 
 def held_by(place, **changes):
     with locked(place):
         mine = holder(place)
     other = replace(mine, token="other", **{"pid": 2**22 + 1} | changes)  # above any process number of Linux
-    put_lock(place, json.dumps(asdict(other)).encode())
+    lock_file(place, json.dumps(asdict(other)).encode())
     return other
-
-
-def lock_file(place):
-    location = located(place)
-    return location.parent.get(f"{location.name}.lock")
 
 
 def can_be_taken(place, **options):
@@ -240,7 +236,7 @@ def test_who_has_it_is_told_until_that_process_is_killed(place, start_sweep, mon
 @pytest.mark.parametrize("left", [{"host": "elsewhere"}, {"boot": "another boot"}, b"", b"{", b"[]", b'{"host": 1}'])
 def test_a_lock_that_cannot_be_judged_or_is_damaged_is_broken_only_on_request(place, left):
     if isinstance(left, bytes):
-        put_lock(place, left)
+        lock_file(place, left)
     else:
         other = held_by(place, **left)
         assert holder(place) == other
@@ -285,5 +281,5 @@ def test_of_many_that_find_a_stale_lock_one_gets_it(place, rounds, flock, monkey
 def test_a_holder_whose_lock_was_broken_leaves_that_of_the_next(place):
     with locked(place):
         other = Holder("elsewhere", "", 1, "", "2026-01-01", "other")
-        put_lock(place, json.dumps(asdict(other)).encode())
+        lock_file(place, json.dumps(asdict(other)).encode())
     assert holder(place) == other
