@@ -16,7 +16,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationErr
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from linksweep.sweep.contract import HUGE, Experiment, Named, Parameter, Value, bound_in_words, nearest, shown, suggest
-from linksweep.sweep.formatting import ESCAPED, first_of, plain
+from linksweep.sweep.formatting import ESCAPED, first_of
 from linksweep.sweep.tables.columns import content_digest
 
 # The experiment of a study that names none; any store may name it, as it comes with linksweep.
@@ -465,8 +465,6 @@ class Claim(Derived, Printed, frozen=True):
 
     @model_validator(mode="after")
     def _verdict_is_possible(self) -> Self:
-        if self.not_comparable is not None and (self.tolerance is not None or self.null is not None):
-            raise ValueError("not_comparable: there is no verdict then; leave out tolerance and null")
         if self.null is not None and self.published == str(self.null):
             raise ValueError(f"null = {self.null}: must not be the published number")
         return self
@@ -491,8 +489,6 @@ class ConclusionValue(Derived, frozen=True):
 
     @model_validator(mode="after")
     def _one_number(self, info: ValidationInfo) -> Self:
-        if self.above is not None and self.below is not None and not self.above < self.below:
-            raise ValueError("above = {}: is not less than below = {}".format(*plain([self.above, self.below])))
         context, quantity = info.context, self.quantity()
         if context is None or self.choose is not None:
             return self
@@ -522,8 +518,6 @@ class Conclusion(Section, frozen=True):
         names = {name for sentence in self.sentences for _, name, *_ in Formatter().parse(sentence) if name is not None}
         if missing := sorted(names - self.values.keys()):
             raise ValueError(f"sentences: unknown value {shown(missing[0])}{suggest(missing[0], list(self.values))}")
-        if unused := sorted(self.values.keys() - names):
-            raise ValueError(f"values: {shown(unused[0])} is in no sentence")
         return self
 
 
@@ -596,12 +590,6 @@ class FigureForm(Section, frozen=True):
     at: Annotated[dict[str, Any], _each(_drawn_at)] = Field(default_factory=dict)
     log: list[Annotated[str, _checked(_drawn_log)]] = Field(default_factory=list)
     linear: list[Annotated[str, _checked(_drawn)]] = Field(default_factory=list)
-
-    @model_validator(mode="after")
-    def _one_scale(self) -> Self:
-        if both := sorted({*self.log} & {*self.linear}):
-            raise ValueError(f"{shown(both[0])} is in log and in linear; leave out one of the two")
-        return self
 
 
 class Form(Section):

@@ -14,11 +14,9 @@ ZIPPED = {"axes": {"model": ["amex", "gaia"], "v_max": [14.0, 20.0]}, "grid": {"
 RATIO = {"variable": "sigma_spin", "of": {"model": "gaia"}, "to": {"model": "amex"}}
 BAD = [("{gaja}", GAIA, "sentences: unknown value 'gaja'; did you mean 'gaia'?")]
 BAD += [("{gaia", GAIA, "sentences.0: '{gaia': expected '}' before end of string")]
-BAD += [("nothing", GAIA, "values: 'gaia' is in no sentence")]
 BAD += [("{gaia}", {"value": {"variable": "sigma_spin", "at": AT | {"v_max": 19.0}}}, "19.0 is not on the axis")]
 BAD += [("{gaia}", {"value": {"variable": "sigma_spin"}}, "model has several values; fix it with 'where', or choose")]
 BAD += [("{gaia}", {}, "needs exactly one of slope, ratio and value")]
-BAD += [("{gaia}", GAIA | {"above": 2.0, "below": 1.0}, "above = 2: is not less than below = 1")]
 
 
 def made(value=((0.65, 0.57), (0.0017, 0.00054)), error=3e-6, status=DONE):
