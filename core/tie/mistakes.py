@@ -67,7 +67,7 @@ NOT_POSITIONS: dict[str, Rows] = {"parallaxes": (2,), "proper motions": (3, 4), 
 # What may have errors in another unit.
 WITH_ERRORS: dict[str, Rows] = {**GROUPS, "all quantities": (0, 1, 2, 3, 4), "ra": (0,), "dec": (1,)}
 
-UNEXPLAINED = "no known mistake explains it: errors may be too small, sources not single, or two mistakes made"
+UNEXPLAINED = "no known mistake explains it: errors may be too small, two mistakes made, or sources not single"
 
 # How much a correction hides that makes errors larger.
 HIDES_ALL = 2
