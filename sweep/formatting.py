@@ -120,25 +120,26 @@ def with_error(value: Any, error: float, step: float = 0.0) -> str:
         >>> with_error(0.66, 0.0)
         '0.66'
     """
-    if not 0.0 < error < inf:
-        return rounded(value, step)
-    return f"{rounded(value, error)} ± {rounded(error, error) if error > 1e-8 else format(error, '.1g')}"
+    return f"{rounded(value, error)} ± {rounded(error, error)}" if 0.0 < error < inf else rounded(value, step)
 
 
 def rounded(value: Any, error: float = 0.0) -> str:
     """Return a number to two digits of its error, or to four digits of its own where it has none; '' for NaN.
 
     Examples:
-        >>> rounded(1234.5678, 3.0), rounded(1234.5678), rounded(28.0)
-        ('1234.6', '1235', '28')
+        >>> rounded(1234.5678, 3.0), rounded(1234.5678), rounded(28.0), rounded(2e25, 3.1e22)
+        ('1234.6', '1235', '28', '2.0000e+25')
     """
     if is_missing(value):
         return ""
     if isinstance(value, str | int):
         return str(value)
-    if 0.0 < error < inf:
-        decimals = max(0, 1 - floor(log10(error) + 1e-6))  # a step of 0.1 may be a little less
-        return f"{value:.{decimals}f}" if decimals <= 9 else f"{value:.3g}"
+    if 0.0 < error < inf and isfinite(value):
+        decimals = 1 - floor(log10(error) + 1e-6)  # a step of 0.1 may be a little less
+        if -5 < decimals < 10:
+            return f"{value:.{max(0, decimals)}f}"
+        digits = decimals + floor(log10(abs(value) or error)) + 1
+        return f"{value:#.{max(2, digits)}g}" if digits < 13 else f"{value:.12g}"  # more are of exact laws
     exact = float(value).is_integer() and abs(value) < 2**53  # beyond it a float may stand for another integer
     return f"{value:.0f}" if exact else f"{value:.4g}"
 

@@ -78,7 +78,7 @@ def test_days_are_told_apart_wherever_they_are_shown(tmp_path):
     assert re.findall(r"from (\S+)", found) == ["2460000.23", "2460000.12"]
     assert "freq > 1420405752 along" in found
     assert "at 2460001 is nearest" in shown("find", store, "--over", "jd", "--where", "flux > 9")
-    assert "2460000.50" in shown("fit", store, "--over", "jd", "--variable", "freq").split()
+    assert "2460000.50" in shown("fit", store, "--over", "jd", "--variable", "flux").split()
     linksweep.run(lit, tmp_path / "n.zarr", axes={"jd": [0.1 + 0.2, 0.5]}, pool="serial")
     assert "freq" in shown("reproduce", tmp_path / "n.zarr", "--at", "jd=0.3")
     assert "(jd=2460000.8, w=2)" in " ".join(answers(linksweep.open(store))[0].sentences)
