@@ -250,7 +250,7 @@ def _filled(dataset: xr.Dataset, conclusion: Conclusion, sentence: str) -> str:
             pieces.append((formatting.with_unit if form == "error" else formatting.in_short)(number, error, unit))
         before = None if form else (number, unit)
         words = compare.in_words(derived)
-        if value.has_bounds and not np.isfinite(error):
+        if {value.above, value.below, value.equals} != {None} and not np.isfinite(error):
             unjudged[words] = None
         elif bound := _broken_bound(value, number, error):
             unmet[f"{words} is {formatting.in_short(number, error, unit)}, not {bound}"] = None

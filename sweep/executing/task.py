@@ -148,10 +148,8 @@ class Failure:
         trace = "".join(traceback.format_exception(error))
         if isinstance(error, TimeLimitError):
             return cls.too_long(limit_s or 0.0, trace)
-        if isinstance(error, NotFiniteError):
-            return cls("NaN", str(error))
         if isinstance(error, ResultError):
-            return cls("exception", str(error))
+            return cls("NaN" if isinstance(error, NotFiniteError) else "exception", str(error))
         try:
             text = str(error)
         except (Exception, SystemExit) as unsaid:  # whatever a class of the user's raises

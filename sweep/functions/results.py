@@ -422,10 +422,6 @@ class Declared:
         """The layouts of results of scalars that have occurred, by names and types."""
         return {}
 
-    def refused(self, problems: Iterable[str]) -> ResultError:
-        """Return the error that has these problems of a result."""
-        return ResultError(f"{self.function}: {'; '.join(problems)}")
-
     def named(self, result: Any) -> dict[str, Any]:
         """Return the outputs by name that the function has returned."""
         if result is None:
@@ -543,12 +539,12 @@ def _read(
         coordinates, problems = _coordinates(values, declared)
         problems += _add_lengths(values, coordinates)
     if problems:
-        raise declared.refused(problems)
+        raise ResultError(f"{declared.function}: {'; '.join(problems)}")
     fields = tuple(Field(name, one.type, one.dims or (), one.unit, one.meaning) for name, one in values.items())
     used = dict.fromkeys(dim for field in fields for dim in field.dims)
     layout = Layout(fields, tuple(coordinates[dim] for dim in used), declared.drawn)
     if wrong := problems_of_names(layout, declared.parameters):
-        raise declared.refused(wrong)
+        raise ResultError(f"{declared.function}: {'; '.join(wrong)}")
     return arrays or [value.array for value in values.values()], layout
 
 

@@ -444,9 +444,9 @@ class _Reader:
         experiment = self._with_labels(experiment, axes, fixed, when)
         published = _read_published(form, values, axes, fixed)
         changed = frozenset(str(place[1]) for place in problems.options if place[0] in ("axes", "fixed"))
-        changed |= frozenset(points if ("points",) in problems.options else ())
+        columns = dict.fromkeys(points) if ("points",) in problems.options else points
         known = frozenset({*axes, *fixed})
-        context = Context(experiment, crossed, zipped, known, changed, compared, points) if is_whole else None
+        context = Context(experiment, crossed, zipped, known, changed, compared, columns) if is_whole else None
         statements = {key: self.document[key] for key in STATEMENTS if key in self.document}
         checked = _read_form({"title": "", **statements}, problems, context)
         problems.report()

@@ -48,16 +48,16 @@ class Context:
     columns: Mapping[str, tuple[Value, ...] | None] = field(default_factory=dict)
 
     def values(self, name: str) -> tuple[Value, ...] | None:
-        """Return the values of an axis or a column, None where they are not known, or may be others than the study
-        means.
+        """Return the values of an axis or column, None where they are not known, or may be others than the study means.
 
         Raises ValueError where there is no such axis.
         """
         if name in self.changed:
             return None
         if name not in (there := {**self.axes, **self.columns}):
-            known = [axis for axis in there if axis in self.experiment.defaults()]
-            raise ValueError(f"{shown(name)} is not an axis{suggest(name, known) if known else '; the study has none'}")
+            raise ValueError(
+                f"{shown(name)} is not an axis{suggest(name, [*there]) if there else '; the study has none'}"
+            )
         return there[name]
 
     def partners(self, name: str) -> Sequence[str]:
@@ -481,11 +481,6 @@ class ConclusionValue(Derived, frozen=True):
     above: float | None = None
     below: float | None = None
     equals: float | None = None
-
-    @property
-    def has_bounds(self) -> bool:
-        """Whether there is a condition."""
-        return any(bound is not None for bound in (self.above, self.below, self.equals))
 
     @model_validator(mode="after")
     def _one_number(self, info: ValidationInfo) -> Self:

@@ -179,9 +179,8 @@ def test_a_claim_about_points_that_are_not_done_not_finite_or_not_there(tmp_path
         comparison = only(grid(1.0, claims=[claim(**keys)]))
         assert (comparison.verdict, comparison.reason) == ("incomplete", reason)
     # a table has no lines, and several points at one place
-    places = {"at": {"a": 2}}, {"at": {"a": 2, "b": 2}}
-    claims = [claim(slope={"variable": "result", "over": "a"})]
-    claims += [claim(value={"variable": "result"} | place, published="4.0") for place in places]
+    values = [{"variable": "result", "at": at} for at in ({"a": 2}, {"a": 2, "b": 2})]
+    claims = [claim(slope={"variable": "result", "over": "a"}), *(claim(value=one, published="4.0") for one in values)]
     study = {"experiment": lambda a, b: a * b, "points": {"a": [1, 2, 2], "b": [1, 1, 2]}, "claim": claims}
     found = compare(linksweep.run(study, tmp_path / "t", pool="serial"))
     reasons = ["a is not an axis of this store", "several points of the store have a=2", ""]
