@@ -57,16 +57,13 @@ def quantities(dataset: xr.Dataset) -> list[str]:
     """Return the variables that are results of their own: numbers at each point, not errors, predictions or samples."""
     if "status" not in dataset:
         raise SweepError("there is no variable status, which says at which points there are results: keep it")
-    axes = set(dataset["status"].dims)
-    numbers = [str(n) for n, v in dataset.data_vars.items() if _is_number(dataset, str(n)) and axes <= set(v.dims)]
+    # integers and truth values are results only of a plain function
+    axes, kinds = set(dataset["status"].dims), "fib" if FUNCTION in dataset.attrs else "f"
+    of_points = {str(n): v for n, v in dataset.data_vars.items() if str(n) not in BESIDES and axes <= set(v.dims)}
+    numbers = [name for name, variable in of_points.items() if variable.dtype.kind in kinds]
     covariances = [f"{COVARIANCE_SUFFIX}_{str(axis).removesuffix('_other')}" for axis in dataset.coords]
     beside = {f"{name}_{suffix}" for name in numbers for suffix in (*BESIDE, *covariances)}
     return [name for name in numbers if name not in beside and "sample" not in dataset[name].dims]
-
-
-def _is_number(dataset: xr.Dataset, name: str) -> bool:
-    kind = dataset[name].dtype.kind  # integers and truth values are results only of a plain function
-    return name not in BESIDES and (kind == "f" or (kind in "ib" and FUNCTION in dataset.attrs))
 
 
 def headline_variables(dataset: xr.Dataset) -> list[str]:

@@ -500,8 +500,7 @@ class _Computing:
             _agreed.add(self.who)
             return ""
         place = ", ".join(f"{name} = {shown(value)}" for name, value in points[0].items()) or "its only point"
-        many = f" and {len(units) - 1:,} more" if len(units) > 1 else ""
-        return f"{self.experiment.name}: called twice at {place}{many}, it returns a result {how}. {WHAT_TO_DO}"
+        return f"{self.experiment.name}: called twice at {place}, it returns a result {how}. {WHAT_TO_DO}"
 
 
 def alike(units: Sequence[PointBlock]) -> Iterator[tuple[PointBlock, ...]]:

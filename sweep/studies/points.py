@@ -543,7 +543,10 @@ def _apart(table: Mapping[str, Column], form: PointsForm, values: Values) -> tup
                 hint = f"{suggest(name, list(parameters))}; as a label: labels = [{json.dumps(name)}]"
                 raise ValueError(f"unknown parameter {shown(name)}{hint}")
             else:
-                columns[name] = _in_its_unit(cells, in_table or behind, parameters[name])
+                one, unit, missing = parameters[name], in_table or behind, np.array([cell is None for cell in cells])
+                if missing.any() and not one.optional and not one.when:
+                    raise ValueError(f"has no value in row {rows_listed(missing)}")
+                columns[name] = in_unit(cells, unit, one) if unit else cells
     results = [POINT, *experiment.coordinates, *(output.name for output in experiment.outputs)]
     taken = "is a parameter or a result; labels are other columns (reset_index() makes a column of an index)"
     for name in form.labels:
@@ -554,14 +557,6 @@ def _apart(table: Mapping[str, Column], form: PointsForm, values: Values) -> tup
                 raise ValueError(problem)
             labels[name] = labels_of(labels[name])
     return columns, labels
-
-
-def _in_its_unit(cells: list[Any], unit: str, parameter: Parameter) -> list[Any]:
-    """Return a column in the unit of its parameter, which may be without a value in some rows."""
-    missing = np.array([cell is None for cell in cells])
-    if missing.any() and not parameter.optional and not parameter.when:
-        raise ValueError(f"has no value in row {rows_listed(missing)}")
-    return in_unit(cells, unit, parameter) if unit else cells
 
 
 def is_empty(cell: object) -> bool:
