@@ -98,15 +98,10 @@ def spin_variance(skies: Skies, curve: Curve, reference_error_scale: float = 1.0
     Source: Metz & Geffert 2004, Eqs. 10-12; docs/science.md.
     """
     variance = np.square(reference_error_scale * skies.sigma_reference_mas_yr) + np.square(curve(skies.v_mag)[:, None])
-    covariance = np.linalg.inv(_normal(skies, 1.0 / variance))
-    return np.asarray(np.trace(covariance, axis1=-2, axis2=-1) / 3.0)
-
-
-def _normal(skies: Skies, weight: Array) -> Array:
-    """Return sum of weight x geometry over the first counts[k] objects; shape (counts, C, 3, 3)."""
-    edges = itertools.pairwise((0, *skies.counts))
-    steps = [np.einsum("cdn,cdkn->ck", weight[..., low:high], skies.geometry[..., low:high]) for low, high in edges]
-    return np.asarray(np.cumsum(steps, axis=0)[..., [[0, 1, 2], [1, 3, 4], [2, 4, 5]]])
+    edges, geometry = itertools.pairwise((0, *skies.counts)), skies.geometry
+    steps = [np.einsum("cdn,cdkn->ck", 1.0 / variance[..., a:b], geometry[..., a:b]) for a, b in edges]
+    normal = np.cumsum(steps, axis=0)[..., [[0, 1, 2], [1, 3, 4], [2, 4, 5]]]  # (counts, C, 3, 3)
+    return np.asarray(np.trace(np.linalg.inv(normal), axis1=-2, axis2=-1) / 3.0)
 
 
 def published_numbers(model: Model) -> pd.DataFrame:

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import chdtr, chdtrc, chdtri
 
-from linksweep.core.frames import MAS, Array, Flags, Indices, LinkError, Names, Texts
+from linksweep.core.frames import MAS, Array, Flags, Indices, LinkError, Names
 from linksweep.core.tie.astrometry import HALF_SPAN, PAIRS, Astrometry, by_errors, kinds
 from linksweep.core.tie.problem import NormalSums, Problem, Solution, discrepancies, leave_one_out, solve, source_sums
 
@@ -185,17 +185,14 @@ def _wholes(problem: Problem) -> list[_Part]:
     return parts + [part for part in of_tables if np.any(part.at)]
 
 
-def _alike(problem: Problem, labels: Texts, words: str) -> list[_Part]:
-    """Return the rows of each table that have the same label (R,)."""
+def _by_kind(problem: Problem) -> list[_Part]:
+    """Return the rows of each kind in each table."""
+    labels = kinds(problem.rows)
     return [
-        _Part(part.table, words.format(label, part.words), part.at & (labels == label))
+        _Part(part.table, f"the {label} rows of {part.words}", part.at & (labels == label))
         for part in _wholes(problem)[1:]
         for label in np.unique(labels[part.at])
     ]
-
-
-def _by_kind(problem: Problem) -> list[_Part]:
-    return _alike(problem, kinds(problem.rows), "the {} rows of {}")
 
 
 def _excess(problem: Problem, ratio: float) -> str:
@@ -211,11 +208,9 @@ def _excess(problem: Problem, ratio: float) -> str:
         causes += _exchanged(problem, ratio)
         if left < max(GOOD, best):
             alone = f"without {_listed(problem, worst)} it is {left:.2g} times its expectation; "
+            causes = [cause for cause in causes if not cause.hides and cause.ratio < GOOD]
         elif best > GOOD:
             causes += _causes(problem, _by_kind(problem), ratio)
-        # a correction that hides much may hide two mistakes
-        if alone:
-            causes = [cause for cause in causes if not cause.hides and cause.ratio < GOOD]
     said = likely(causes, _alike_within(problem))
     return f"{alone}{said}" if said == UNEXPLAINED else said
 
@@ -281,7 +276,7 @@ def explains(corrected: float, ratio: float) -> bool:
 def _causes(problem: Problem, parts: Iterable[_Part], ratio: float) -> Iterator[Cause]:
     """Yield the mistakes in parts whose correction brings chi2 down to the level of good tables."""
     for part in parts:
-        for words, hides, trial in chain(_trials(problem, [part]), _shifted(problem, part)):
+        for words, hides, trial in chain(_trials(problem, part), _shifted(problem, part)):
             # errors that are too small are so for all sources
             if explains(corrected := _ratio(trial), ratio) and (not hides or 0.1 < _ratio(trial, typical=True) < GOOD):
                 yield Cause(words, corrected, hides)
@@ -301,12 +296,11 @@ def impossible(errors: Array, epoch: Array) -> Flags:
     return np.asarray((errors[0] < 10.0 * MAS) & ((epoch < EARLIEST) | (epoch > LATEST)))
 
 
-def _trials(problem: Problem, parts: Iterable[_Part]) -> Iterator[tuple[str, int, Problem]]:
-    """Yield mistakes in parts, how much their corrections hide, and the problem when they are corrected."""
-    for part in parts:
-        for words, hides, change in _corrections(problem, part.table):
-            if (trial := _applied(problem, part, change)) is not None:
-                yield words.format(part.words), hides, trial
+def _trials(problem: Problem, part: _Part) -> Iterator[tuple[str, int, Problem]]:
+    """Yield mistakes in a part, how much their corrections hide, and the problem when they are corrected."""
+    for words, hides, change in _corrections(problem, part.table):
+        if (trial := _applied(problem, part, change)) is not None:
+            yield words.format(part.words), hides, trial
 
 
 def _corrections(problem: Problem, table: str) -> Iterator[tuple[str, int, Change]]:
