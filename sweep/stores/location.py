@@ -635,8 +635,7 @@ def _this_host() -> tuple[str, str]:
     """Return the host's name, and what identifies the boot of its kernel and the PID namespace of this process."""
     boot = ""
     with suppress(OSError):
-        boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
-        boot += " " + str(Path("/proc/self/ns/pid").readlink())
+        boot = f"{Path('/proc/sys/kernel/random/boot_id').read_text().strip()} {Path('/proc/self/ns/pid').readlink()}"
     return platform.node(), boot
 
 

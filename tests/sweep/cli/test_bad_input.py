@@ -34,6 +34,7 @@ FOREIGN = {  # by what stands there: its files, and what is said
     "cut metadata": ({"zarr.json": '{"attributes": {"linksweep_f'}, NOT_A_STORE),
     "foreign Zarr": ({"zarr.json": json.dumps(ROOT | {"attributes": {"a": 1}})}, NOT_A_STORE),
     "newer": ({"zarr.json": json.dumps(ROOT | {"attributes": {"linksweep_format": 99}})}, "It is newer: upgrade"),
+    "older": ({"zarr.json": json.dumps(ROOT | {"attributes": {"linksweep_format": 1}})}, "It is older: run the study"),
 }
 
 

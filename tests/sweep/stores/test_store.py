@@ -101,16 +101,6 @@ def test_a_study_that_shrinks_leaves_the_store_as_it_is(path, coins):
     assert (mixed["n_sim_done"] == 21 * coins["sampling"]["n_sim"]).all()  # as many of each as either
 
 
-def test_another_format_is_explained(path, coins):
-    create_or_resume(path, coins)
-    document = json.loads((path / "zarr.json").read_text())
-    document["attributes"]["linksweep_format"] = 1
-    (path / "zarr.json").write_text(json.dumps(document))
-    for read in (linksweep.open, lambda path: run(coins, path)):
-        with pytest.raises(SweepError, match=r"has store format 1; .* It is older: run the study into a new store"):
-            read(path)
-
-
 def turn(number, shape=(50, 40)):
     status = np.random.default_rng(number).integers(0, 2, shape, dtype=np.int8)
     values = {"value": np.where(status == 1, float(number), np.nan), "again": np.full(shape, float(number))}
