@@ -63,8 +63,8 @@ LONGEST = 40
 
 PLAIN = (bool, int, float, complex, str, bytes, type(None))
 
-# Methods that change their object: those that its unchangeable twin lacks.
-CHANGING = {*dir(list), *dir(set), *dir(dict)} - {*dir(tuple), *dir(frozenset), *dir(MappingProxyType)}
+# Methods that change their object: those that its unchangeable twin lacks, and of arrays, which have none.
+CHANGING = {*dir(list), *dir(set), *dir(dict), "fill", "put"} - {*dir(tuple), *dir(frozenset), *dir(MappingProxyType)}
 
 # Methods that make an object: what they set of it is how it begins, not a change; so is all that those of classes do.
 MAKING = ("__init__", "__new__", "__post_init__")
