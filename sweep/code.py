@@ -455,7 +455,9 @@ class Reach:
                 self._changes.append((f"{owner}()" if name in MAKING else name, homes))
         elif not function.__name__.startswith("__"):  # what dataclasses make is in their class already
             self.unnoticed[self._through or label] = "function without source"
-            nodes = [ast.Name(name) for name in sorted(_all_names(code))]  # what it reaches counts
+            literals = [one for inner in _inside(code) for one in inner.co_consts if type(one) in (*PLAIN, tuple)]
+            nodes = [ast.Constant(one) for one in literals if one != function.__doc__]
+            nodes += [ast.Name(name) for name in sorted(_all_names(code))]  # what it reaches counts
         text += self._text(nodes, names, function)
         self._keep(f"function {label}", text)
 
@@ -735,8 +737,7 @@ def _is_act(statement: ast.stmt, names: Names) -> bool:
         return True
     if names.get("__name__") in MAIN:
         # functions of modules are no methods
-        roots = [text.partition(".")[0] for text in _changed(nodes) if "." in text]
-        return any(isinstance(names.get(root), ModuleType) for root in roots)
+        return any(isinstance(names.get(one.partition(".")[0]), ModuleType) for one in _changed(nodes) if "." in one)
     calls = [one for one in nodes if isinstance(one, ast.Expr) and not isinstance(one.value, ast.Constant)]
     return bool(calls or [*_changed(nodes)])
 
@@ -1094,12 +1095,11 @@ def code_of(reference: str, experiment: Experiment, digest: str | None = None) -
 
     Experiments that come with linksweep are identified by their own version alone.
     """
-    place, code = reference.rpartition(":")[0], dict[str, str]()
+    place, parameters, code = reference.rpartition(":")[0], experiment.parameters, dict[str, str]()
     if place.partition(".")[0] != OURS or distributions_of(place) != ():
         code |= parts_of(reference, digest or source_digest(reference))
-        code |= {f"default of {p.name}": json.dumps(p.written_default(), default=str) for p in experiment.parameters}
-        objects = {p.name: p.default for p in experiment.parameters if isinstance(p.default, Named)}
-        code |= {f"default of {name}, an object": default.name for name, default in objects.items()}
+        code |= {f"default of {p.name}": json.dumps(p.written_default(), default=str) for p in parameters}
+        code |= {f"default of {p.name}, an object": p.default.name for p in parameters if isinstance(p.default, Named)}
     packages = [name.removeprefix("package ") for name in code if name.startswith("package ")]
     return code | {f"package {name}": version_of(name) for name in (*packages, *experiment.packages)}  # of this process
 

@@ -54,7 +54,7 @@ ENDS = {  # how the constant, CONSTANT, comes into NAME(x)
     "spline": "import numpy as np\nfrom scipy.interpolate import CubicSpline\n\nS_NAME = CubicSpline(np.arange(4.0), np.arange(4.0) * CONSTANT)\n\ndef NAME(x):\n    return x + float(S_NAME(1.0))",
     "frompyfunc": "import numpy as np\n\nU_NAME = np.frompyfunc(lambda x: x + CONSTANT, 1, 1)\n\ndef NAME(x):\n    return float(U_NAME(x))",
     "single dispatch method": "import functools\n\nclass C_NAME:\n    @functools.singledispatchmethod\n    def run(self, x):\n        return -1.0\n    @run.register\n    def _(self, x: float):\n        return x + CONSTANT\n\ndef NAME(x):\n    return C_NAME().run(float(x))",
-    "exec": "exec('def NAME(x):\\n    return x + CONSTANT')",
+    "exec": "exec('def NAME_one(x):\\n    return x')\n\nNAME = eval('lambda x: NAME_one(x) + CONSTANT')",
     "exec of a global": "D_NAME = {'K': CONSTANT}\nexec('def one(x):\\n    return x + K', D_NAME)\n\nNAME = D_NAME['one']",
     "given to a library": "from dask.sizeof import sizeof\n\nclass C_NAME:\n    pass\n\n@sizeof.register(C_NAME)\ndef NAME_size(one):\n    return CONSTANT\n\ndel NAME_size\n\ndef NAME(x):\n    return x + sizeof(C_NAME())",
     "class given to a library": "import dask.sizeof\n\n@dask.sizeof.sizeof.register(frozenset)\nclass NAME_size(float):\n    k = CONSTANT\n    def __new__(cls, one):\n        return cls.k\n\ndef NAME(x):\n    return x + dask.sizeof.sizeof(frozenset())",
