@@ -301,11 +301,6 @@ CHECKED = 3
 # Seconds of a first call after which there is no second one.
 LONGEST_S = 1.0
 
-WHAT_TO_DO = (
-    "A function that draws random numbers takes them from its argument rng; one whose results need not be the same "
-    "declares @experiment(deterministic=False)"
-)
-
 # The reference and the digest of an experiment.
 Who = tuple[str, str | None]
 
@@ -500,7 +495,11 @@ class _Computing:
             _agreed.add(self.who)
             return ""
         place = ", ".join(f"{name} = {shown(value)}" for name, value in points[0].items()) or "its only point"
-        return f"{self.experiment.name}: called twice at {place}, it returns a result {how}. {WHAT_TO_DO}"
+        return (
+            f"{self.experiment.name}: called twice at {place}, it returns a result {how}. A function that draws random "
+            "numbers takes them from its argument rng; one whose results need not be the same declares "
+            "@experiment(deterministic=False)"
+        )
 
 
 def alike(units: Sequence[PointBlock]) -> Iterator[tuple[PointBlock, ...]]:

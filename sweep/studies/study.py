@@ -33,8 +33,7 @@ FORMATS = ("", "error", "%")
 class Context:
     """What sections of a study are checked against, once its experiment and its axes are known.
 
-    ``axes`` and the ``columns`` of [points] may hold None for one that is itself wrong; ``known`` are all parameters
-    that the study sets.
+    Of ``axes`` and ``columns``, those that are wrong may be None; ``known`` are all parameters that the study sets.
     ``changed`` are those that the command line changed: a claim that no longer fits them is not a mistake of the study,
     and is left for the comparison to report.  ``compared`` reads a value of a condition.
     """

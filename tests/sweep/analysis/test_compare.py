@@ -183,8 +183,7 @@ def test_a_claim_about_points_that_are_not_done_not_finite_or_not_there(tmp_path
     claims = [claim(slope={"variable": "result", "over": "a"}), *(claim(value=one, published="4.0") for one in values)]
     study = {"experiment": lambda a, b: a * b, "points": {"a": [1, 2, 2], "b": [1, 1, 2]}, "claim": claims}
     found = compare(linksweep.run(study, tmp_path / "t", pool="serial"))
-    reasons = ["a is not an axis of this store", "several points of the store have a=2", ""]
-    assert ([c.reason for c in found], found[2].verdict) == (reasons, "reproduced")
+    assert [c.reason for c in found] == ["a is not an axis of this store", "several points of the store have a=2", ""]
 
 
 def test_a_component_of_a_result():
