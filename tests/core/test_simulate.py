@@ -1,5 +1,6 @@
 """A block of realisations: what it recovers, how large its errors are, and that it is the plain loop made fast."""
 
+import re
 import tracemalloc
 from dataclasses import replace
 
@@ -125,7 +126,7 @@ def test_equals_the_svd_of_each_realisation(seed, n_obj, sizes, polar, correlate
     try:
         solutions, expected = zip(*one_by_one(physics, 3), strict=True)
     except LinkError as error:
-        with pytest.raises(LinkError, match=str(error)[:40]):
+        with pytest.raises(LinkError, match=re.sub(r"\d+", r"\\d+", str(error)[:40])):  # of several it may name another
             run(physics, 3)
         return
     assume(all(s.condition_number < 1e3 for s in solutions))  # its square, of the normal matrix, times 2^-52 is 2e-10
