@@ -145,6 +145,15 @@ def test_a_lost_part_is_named_and_the_same_commands_go_on(model, tmp_path, sweep
     require_same(tmp_path / "l", tmp_path / "v")
 
 
+@pytest.mark.parametrize("seed", [0, 3])
+def test_a_point_that_fails_in_several_parts_has_the_failure_of_its_earliest_block(tmp_path, seed):
+    (tmp_path / "n.py").write_text("def rare(rng):\n    assert (u := rng.random()) < 0.999, u\n    return u\n")
+    study, how = f"{tmp_path}/n.py:rare", {"sampling": {"n_sim": 8 * 512, "seed": seed}}
+    merge(run_parts(study, tmp_path / "s", [1, 2, 3], 3, **how), tmp_path / "s")
+    linksweep.run(study, tmp_path / "w", pool="serial", max_failures="100%", **how)
+    require_same(tmp_path / "s", tmp_path / "w")
+
+
 @pytest.mark.parametrize("how", [*({"part": part} for part in NO_PARTS), *({"limits": one} for one in NO_LIMITS)])
 def test_parts_and_limits_that_cannot_be_are_refused_and_nothing_written(model, tmp_path, how):
     with pytest.raises(SweepError, match="must be"):

@@ -75,6 +75,7 @@ def test_killed_before_any_operation_it_goes_on(what, where, step, request, tmp_
         found, killed = opening.until_done(left, number, lambda: run(document, store, tuning=often), between)  # noqa: B023
         same(found, wanted)
         assert not check(store).remarks + sorted(named(check(store)))
+        assert not {file for file in files_of(store) if file.startswith("blocks/")} - in_use(store)
         if not killed:
             break
     assert number > 20
@@ -215,13 +216,19 @@ def is_told(store, differing, wanted, sweep):
     assert "zarr.json" in differing or all(any(file in told for file in differing) for told in problems)
 
 
-def test_files_of_a_store_that_was_begun_anew_or_has_another_history_do_not_count(tmp_path):
+def test_files_of_a_store_that_was_begun_anew_or_has_another_history_do_not_count(tmp_path, monkeypatch):
+    def anew():
+        linksweep.run(model, store, axes={"k": [2, 3]}, pool="serial", fresh=True)
+
     (tmp_path / "model.py").write_text(MODEL)
     model, store = f"{tmp_path}/model.py:model", tmp_path / "s.zarr"
     for last in (1, 2, 4):
         linksweep.run(model, store, axes={"k": list(range(1, last + 1))}, pool="serial")
     old = files_of(store)
-    linksweep.run(model, store, axes={"k": [2, 3]}, pool="serial", fresh=True)
+    left = opening.dying(monkeypatch)
+    for number in (10, 6, 3):  # killed, it is the old one without its results or its blocks
+        restored(store, old)
+        opening.until_done(left, number, anew, lambda: check(store) and pytest.fail("it is damaged"))
     new, used = files_of(store), in_use(store)
     for key in used - {"zarr.json"}:
         if old.get(key) not in (None, new[key]):
