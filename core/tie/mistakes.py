@@ -254,12 +254,10 @@ def _levels(problem: Problem, part: _Part, change: Change) -> dict[str, float]:
     """Return chi2 over its expectation with a part changed, of each group and under '' of all; nothing where that
     changes nothing or has no solution.
     """
-    if (trial := _applied(problem, part, change)) is None:
+    trial = _applied(problem, part, change)
+    if trial is None or _ratio(trial) == np.inf:
         return {}
-    try:
-        solution = solve(source_sums(trial))
-    except LinkError:
-        return {}
+    solution = solve(source_sums(trial))
     return {one.words: one.squares / one.expected for one in _groups(trial, solution)} | {"": solution.scale**2}
 
 
@@ -466,11 +464,7 @@ def _outliers(problem: Problem, ratio: float) -> tuple[Indices, float]:
         # chi2 without each: a source with errors that are too small fits well itself
         lost = used.squares + np.sum((right - used.right) * leave_one_out(used, normal, right), axis=1)
         kept = np.delete(kept, np.argmax(np.nan_to_num(lost, nan=-np.inf)))
-        try:
-            left = solve(sums.taken(kept)).scale ** 2
-        except LinkError:
-            break
-        if explains(left, ratio):
+        if explains(left := _ratio(problem.only(kept)), ratio):
             return np.setdiff1d(np.arange(len(sums)), kept), left
     return np.zeros(0, dtype=np.int64), np.nan
 

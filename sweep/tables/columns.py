@@ -14,6 +14,7 @@ import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from functools import cached_property, lru_cache, partial, reduce
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -419,21 +420,26 @@ class Columns:
             return np.asarray(np.ma.filled(np.ma.asarray(column.jyear), np.nan), dtype=np.float64)
         if self.kind(name) in "USOM":
             texts, years = self.text(name), np.full(len(self), np.nan)
-            for row in np.flatnonzero(~gaps(column) & ~np.isin(texts, ("", "--", "None", "NaT"))):
-                try:
-                    # astropy warns of years whose leap seconds are not known
-                    with warnings.catch_warnings(action="ignore"):
-                        years[row] = Time(_YEAR.sub(r"J\g<0>", texts[row].partition("+00:00")[0].rstrip("Z"))).jyear
-                except ValueError:
-                    said = f"row {row + 1} has {str(texts[row])!r}"
-                    self.problems.append(f"column {name!r} is text that is no date like 2015-06-01 or J2015.5: {said}")
-                    break
+            there = ~gaps(column) & ~np.isin(texts, ("", "--", "None", "NaT"))
+            for row in np.flatnonzero(there):
+                # astropy warns of years whose leap seconds are not known
+                with warnings.catch_warnings(action="ignore"), suppress(ValueError):
+                    years[row] = Time(_YEAR.sub(r"J\g<0>", _in_utc(texts[row]))).jyear
+            self.check(there & np.isnan(years), f"no date like 2015-06-01 or J2015.5 (column {name!r})", texts)
             return years
         values, unit = self.numbers(name), str(column.unit)
         values = np.where(values > JD_FROM, values - JD_OF_MJD, values)
         if unit == "d" or (np.nanmin(values, initial=np.inf) > MJD_FROM and unit not in ("yr", "a")):
             values = 2000.0 + (values - 51544.5) / 365.25
         return values
+
+
+def _in_utc(text: str) -> str:
+    """Return a time with a zone as that in UTC without one, and any other text as it is."""
+    with suppress(ValueError):
+        if (time := datetime.fromisoformat(text)).tzinfo:
+            return time.astimezone(UTC).replace(tzinfo=None).isoformat()
+    return text
 
 
 def gaps(column: Any) -> Flags:

@@ -184,7 +184,7 @@ def _ecsv(content: bytes) -> Any:
 
 def _icrf(text: str) -> Any:
     """Return the positions in a text of the ICRF (ICRF2, ICRF3), whose errors of ra are in seconds of time."""
-    from astropy.table import Table
+    from astropy.table import Column, Table
 
     lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.startswith("ICRF J")]
     rows = [_ICRF.match(line) for _, line in lines]
@@ -193,8 +193,7 @@ def _icrf(text: str) -> Any:
     columns = {name: [row[name] for row in rows if row] for name in ("iers_name", "icrf_name", "ra", "dec")}
     table = Table(columns | {"dec": [dec.replace(" ", "", dec[1:2].count(" ")) for dec in columns["dec"]]})
     for name, unit in (("ra_error", "s"), ("dec_error", "arcsec"), ("ra_dec_corr", None)):
-        table[name] = [float(row[name]) for row in rows if row]
-        table[name].unit = unit
+        table[name] = Column([float(row[name]) for row in rows if row], unit=unit)
     table.meta["extragalactic"] = True
     return table
 
@@ -426,14 +425,19 @@ def _cds(path: Path, text: str, readme: Path) -> Any:
 
 
 def _add_degrees(table: Any) -> None:
-    """Add RAdeg and DEdeg to a table that has hours, minutes and seconds in columns of their own."""
+    """Put ra and dec (ICRS) in the place of a column of SkyCoord, and add RAdeg and DEdeg to a table that has hours,
+    minutes and seconds in columns of their own.
+    """
+    place = next((name for name in table.colnames if hasattr(table[name], "icrs")), None)
+    if place and not {"ra", "dec"} & set(table.colnames):
+        table["ra"], table["dec"] = table[place].icrs.ra, table[place].icrs.dec
+        table.remove_column(place)
+    if "DEd" in table.colnames and not {"DE-", "DEdeg"} & set(table.colnames):
+        raise SweepError("column DEd has no column DE- of signs, without which -0 is 0")
     for name, (sign, *parts, factor) in _IN_PARTS.items():
         if name in table.colnames or not {*parts, sign or parts[0]} <= set(table.colnames):
             continue
-        columns = [np.ma.asarray(table[part]) for part in parts]
-        if any(column.dtype.kind not in "iuf" for column in columns):
-            continue
-        first, minutes, seconds = (column.astype(np.float64) for column in columns)
+        first, minutes, seconds = (np.ma.asarray(table[part]).astype(np.float64) for part in parts)
         values = factor * (first + minutes / 60.0 + seconds / 3600.0)
         if sign:
             negative = [str(text).strip() == "-" for text in np.ma.filled(np.ma.asarray(table[sign]), "+")]

@@ -748,8 +748,7 @@ def _notes(link: xr.Dataset, stars: Astrometry, inverse: bool, path: str) -> lis
     if len(half := np.flatnonzero(there[3] != there[4])):
         raise SweepError(f"only one coordinate of the motion in {named_rows(half)}", path)
     frames = "reference to the satellite" if inverse else "satellite to the reference"
-    by = " and ".join(applied)
-    notes = [f"carried from the frame of the {frames} by {by}, with the covariance of the link added"]
+    notes = [f"carried from the frame of the {frames} by {' and '.join(applied)}, with the link's covariance added"]
     notes += [f"the link has no {name}, which is not changed" for name in ROTATION.names if name not in applied]
     return [*notes, "rows are correlated with each other by the link, whose covariance they share"]
 

@@ -205,6 +205,10 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
             table = AstrometricTable(ZERO_MOTION, "", zero_motion(len(moving), options), {}, options=how[name])
             matched, rows = Match(moving, EVERY_SOURCE, moving * 0 - 1), table.astrometry
             notes += without_motion(0 if all_sources else n - len(moving), n)
+            # sorted faster than both coordinates, and different where they are
+            key = np.array([1.0, np.pi]) @ left.astrometry.values[:2, moving]
+            if len(again := np.delete(moving, np.unique(key, return_index=True)[1])):
+                notes.append(f"{named_rows(again)} of {Path(left.path).name}: the position of another row; both count")
         else:
             table = read_table(Path(path), how[name])
             matched = match(left, table, options.by or None)

@@ -10,7 +10,7 @@ import pandas as pd
 import pyarrow as pa
 import pytest
 from astropy import units as u
-from astropy.coordinates import Angle
+from astropy.coordinates import Angle, SkyCoord
 from astropy.io import fits
 from astropy.table import MaskedColumn, Table
 from astropy.time import Time
@@ -158,6 +158,11 @@ def test_units_in_names_and_errors_of_parts_are_found(tmp_path):
     read = Columns(read_table(written(tmp_path, "t.txt", text)))
     found = [read.quantity(name)[0] for name in ("ra", "dec", "ra_error", "dec_error")]
     np.testing.assert_allclose(found, [15.0, -30.0, 15.0 * np.cos(np.radians(30.0)), 20.0])
+    with pytest.raises(SweepError, match="no column DE- of signs"):
+        read_table(written(tmp_path, "t.txt", text.replace("DE- ", "").replace("- ", "")))
+    Table({"at": SkyCoord([15.0], [-30.0], unit="deg").galactic}).write(tmp_path / "sky.ecsv")
+    read = Columns(read_table(tmp_path / "sky.ecsv"))
+    np.testing.assert_allclose([read.quantity(name)[0] for name in ("ra", "dec")], [15.0, -30.0])
 
 
 def test_a_table_of_vizier(tmp_path):

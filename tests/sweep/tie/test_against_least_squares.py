@@ -309,6 +309,8 @@ def test_powers_are_the_integrals_of_their_fields_over_the_sky(tmp_path, errors)
     own = stars(150, 3, pm=0.1)
     path = gaia(tmp_path / "quasars.ecsv", own)
     link = linksweep.tie(path, "zero-motion", "spin", degree=3, errors=errors, accept_misfit=True)
+    twice = linksweep.tie(gaia(path, own.taken(np.r_[:150, 3])), "zero-motion", "spin", accept_misfit=True)
+    assert "row 151 of quasars.ecsv: the position of another row; both count" in twice.attrs["notes"]
     heights, of_heights = np.polynomial.legendre.leggauss(12)
     ra, dec = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False), np.arcsin(heights))
     weights = np.repeat(of_heights, 24) * 2.0 * np.pi / 24

@@ -120,7 +120,7 @@ MISTAKES = {
     "one parallax missing": ("satellite", of_one("parallax", lambda _: 999), r"without \d+ it is .*; no known mistake"),
     "no correlations": ("satellite", lambda table, rng: table.remove_columns(CORRELATIONS), "no correlations"),
     "errors that are NaN": ("reference", errors_nan, "rows have no error of ra, dec"),
-    "names exchanged": ("reference", names_exchanged, "exchanged"),
+    "names exchanged": ("reference", names_exchanged, "exchanged|are the names"),
     "hours": ("reference", {"ra": lambda table: table["ra"] / 15.0}, "units of the positions right"),
 }
 

@@ -18,7 +18,9 @@ from tests.core.tie.made import NAMES, gaia, gaia_table, only, seen_by_satellite
 WRITTEN = [("deg", 7), ("deg", 6), ("arcsec", 3), ("hms", 4), ("rad", 9), ("deg", 12), ("hms", 8)]
 WHEN = Time([1991.25, 2016.0, 2030.4], format="jyear", scale="tdb")
 YEARS = ([f"{letter}{year}" for year in WHEN.jyear] for letter in ("J", ""))
-TEXTS = *([f"{text}{utc}" for text in WHEN.isot] for utc in ("Z", "+00:00")), *YEARS, [f"B{y:.6f}" for y in WHEN.byear]
+UTC = {zone: Time(WHEN.mjd + days, format="mjd", scale="tdb") for zone, days in (("Z", 0.0), ("-05:30", -5.5 / 24.0))}
+ZONED = ([f"{text}{zone}" for text in when.isot] for zone, when in UTC.items())
+TEXTS = *ZONED, *YEARS, [f"B{y:.6f}" for y in WHEN.byear]
 EXACTLY = [(when, 1e-6) for when in (WHEN.jyear, WHEN.mjd, WHEN.jd, WHEN)]
 TIMES = [("fits", Time(WHEN.jyear, format="jyear", scale=scale), 0.01) for scale in ("tcb", "tai")]
 FORMS = [*EXACTLY, *((text, 0.01) for text in (*TEXTS, WHEN.datetime64))]
