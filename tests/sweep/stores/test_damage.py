@@ -4,11 +4,13 @@ import itertools
 import json
 import random
 import shutil
+import warnings
 from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 
 import linksweep
 from tests.sweep import opening
@@ -67,6 +69,10 @@ def test_killed_before_any_operation_it_goes_on(what, where, step, request, tmp_
             report = check(store)
             assert not report, (number, report)
             said.update(remark.split(":")[0] for remark in report.remarks)
+            if (what, where) == ("coins", "folder"):  # who reads without the root has no point before its values
+                with warnings.catch_warnings(action="ignore"):  # of what is no array yet
+                    plain = xr.open_zarr(store, consolidated=False)
+                assert "status" not in plain or (plain.status != 1).where(plain.share.isnull(), True).all()
             assert opening.status_report(store)["state"] != "finished" or (linksweep.open(store).status == 1).all()
 
     for number in itertools.count(1, step):
