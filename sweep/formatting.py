@@ -127,8 +127,8 @@ def rounded(value: Any, error: float = 0.0) -> str:
     """Return a number to two digits of its error, or to four digits of its own where it has none; '' for NaN.
 
     Examples:
-        >>> rounded(1234.5678, 3.0), rounded(1234.5678), rounded(28.0), rounded(2e25, 3.1e22)
-        ('1234.6', '1235', '28', '2.0000e+25')
+        >>> rounded(1234.5678, 3.0), rounded(1234.5678), rounded(-0.001, 0.1), rounded(2e25, 3.1e22)
+        ('1234.6', '1235', '0.00', '2.0000e+25')
     """
     if is_missing(value):
         return ""
@@ -137,11 +137,11 @@ def rounded(value: Any, error: float = 0.0) -> str:
     if 0.0 < error < inf and isfinite(value):
         decimals = 1 - floor(log10(error) + 1e-6)  # a step of 0.1 may be a little less
         if -5 < decimals < 10:
-            return f"{value:.{max(0, decimals)}f}"
+            return f"{value:z.{max(0, decimals)}f}"
         digits = decimals + floor(log10(abs(value) or error)) + 1
         return f"{value:#.{max(2, digits)}g}" if digits < 13 else f"{value:.12g}"  # more are of exact laws
     exact = float(value).is_integer() and abs(value) < 2**53  # beyond it a float may stand for another integer
-    return f"{value:.0f}" if exact else f"{value:.4g}"
+    return f"{value:z.0f}" if exact else f"{value:.4g}"
 
 
 def plain(values: Sequence[Any]) -> list[str]:
@@ -412,7 +412,7 @@ def _short(value: float, error: float) -> str:
         last = max(last, floor(log10(error)))
     if last < -6 or size >= 7:
         return f"{value:.{digits}g}"
-    return f"{round(value, -last) + 0.0:,.{max(0, -last)}f}"  # and not -0.0
+    return f"{round(value, -last):z,.{max(0, -last)}f}"
 
 
 def described(unit: str, meaning: str) -> dict[str, Any]:
