@@ -241,8 +241,7 @@ class Reach:
         """Return what functions change that are called after what they belong to was made, as far as names tell."""
         classes = [one for known in self._alike.values() for _, one in known.values() if isinstance(one, type)]
         made = {f"{base.__name__}()" for one in classes if f"{one.__name__}()" in self._called for base in one.__mro__}
-        called = [keys for name, keys in self._changes if name.startswith("__") or name in self._called | made]
-        return set().union(*called)
+        return {key for name, keys in self._changes if name[:2] == "__" or name in self._called | made for key in keys}
 
     def _follow(self, add: Callable[..., None], value: Any, *more: Any) -> None:
         if (key := (add.__name__, id(value), *more[:1])) not in self._met:
@@ -478,6 +477,8 @@ class Reach:
         nodes = index[f"class {cls.__name__}"]
         for node in nodes or index[cls.__name__][:1]:  # a class that is made by a call
             self.places[f"class {label}"] = f"{file}, line {node.lineno}"
+        for name in {"__match_args__", "__pydantic_fields__"}.intersection([] if nodes else vars(cls)):  # in a notebook
+            text += self._refer(f"{label}.{name}", vars(cls)[name])
         for node in nodes:
             members = [one for one in node.body if not isinstance(one, DEFINITIONS)] or [ast.Pass()]
             alone = {**dict(ast.iter_fields(node)), "bases": [], "keywords": [], "body": members}
@@ -572,8 +573,7 @@ def _set_by(kind: type) -> set[str]:
     every = [one for base in kind.__mro__ for one in vars(base).values() if type(one) in (FunctionType, *DESCRIPTORS)]
     methods = {one for each in every for name in WRAPPED if isinstance(one := getattr(each, name, each), FunctionType)}
     nodes = [(one.__code__.co_varnames[:1], node) for one in methods for node in definitions_of(one)]
-    texts = [text for itself, node in nodes for text in _changed(ast.walk(node)) if text.partition(".")[0] in itself]
-    return {text.rpartition(".")[2] for text in texts}
+    return {s.rpartition(".")[2] for own, node in nodes for s in _changed(ast.walk(node)) if s.partition(".")[0] in own}
 
 
 def _contents(value: Any, depth: int = 4) -> str:

@@ -43,7 +43,7 @@ COUNTED += [("from m import *", "3", "4", body) for body in ("eval('V')", "s.mod
 COUNTED = few(2, [COUNTED[2], *COUNTED[3:], *COUNTED[:2]])
 LATE = "import helper\ndef total(points, n_sim):\n    from late import PLUS\n"
 LATE += '    return {"total": [n_sim * (helper.FACTOR * p["rate"] + PLUS) for p in points]}\n'
-H = """import numpy as np
+H = """import numpy as np; from dataclasses import make_dataclass
 class B:
     n = 0
     def __init__(self, known={}): type(self).n += 1; known[self.n] = 1
@@ -51,13 +51,13 @@ class B:
     def first(self): self.t = 0.0; return C().n * self.t
 class B2: z = 1.0
 class C(B): k = 1.0
-c, K, ALL, W = C(), 1.0, {"a": max}, np.zeros(1)
-def g(x, *, s=1.0): return s * x + len(W.fill(x) or "")
+c, K, ALL, W, P = C(), 1.0, {"a": max}, np.zeros(1), make_dataclass("P", "ab")
+def g(x, *, s=1.0): return s * x + len(W.fill(x) or "") + P(0, 1).a
 def f(x: float): return g(x) * K * c.k * C.k + len(ALL) + ALL["a"]([0.0]) * 0 + getattr(c, "z", 0.0) + c.first
 """
 NAMED = {"h.K = 4.0": "value h.K", "h.c.k = 4.0": "value h.c", "h.C.k = 4.0": "value h.C.k ("}
 NAMED |= {"h.g.__kwdefaults__['s'] = 2.0": "h.g", "h.ALL['a'] = sum": "value h.ALL"}
-NAMED |= {"h.C.__bases__ = (h.B2,)": "class h.C"}
+NAMED |= {"h.C.__bases__ = (h.B2,)": "class h.C", "h.P = h.make_dataclass('P', 'ba')": "P.__match_args__"}
 DECLARED = """
 import threading, linksweep
 from pathlib import Path
