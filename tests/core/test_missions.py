@@ -244,12 +244,14 @@ def test_a_fit_finds_the_constants_that_made_the_numbers_with_errors_that_grow_w
     numbers = calibrate.published_numbers("gaia").head(len(skies["quasars"].counts))
     sigma, _ = calibrate.published_model(numbers, skies, calibrate.curve_of("gaia", truth))
     made = sigma * np.where(np.arange(len(sigma)) % 2, 1.0 / off, off)
-    found = calibrate.fit("gaia", numbers.assign(sigma=made, rounding=1e-9 if off == 1.0 else 1e-5), skies)
+    found = calibrate.fit("gaia", numbers.assign(sigma=made, rounding=1e-9 if off == 1.0 else 0.05 * made), skies)
     if off == 1.0:
         np.testing.assert_allclose(found.constants, truth, rtol=1e-5)
         assert found.chi2 < 1e-6 < np.diag(found.log_covariance).min()  # errors do not shrink with chi2
         return
     assert found.chi2 / found.dof > 10.0
+    _, ours = calibrate.published_model(numbers, skies, CALIBRATED["gaia"].curve)
+    np.testing.assert_allclose(found.relative_error**2, 0.05**2 / 3 + 1 / 60_000 + ours**2 + 0.03**2, rtol=1e-9)
 
     def misfit(log_constants):
         values, _ = calibrate.published_model(numbers, skies, calibrate.curve_of("gaia", np.exp(log_constants)))

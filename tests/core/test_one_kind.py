@@ -67,6 +67,7 @@ def test_one_kind_of_observable_is_solved_alone(kind, weighting, side, method, c
         if not correlated:
             spread = np.sqrt(2.0 * (2 * N_OBJ - 3) / n_sim)
             assert abs(found["chi2"][0] - (2 * N_OBJ - 3)) < 4.5 * spread
+            assert found["chi2_mc_error"][0] == pytest.approx(spread, rel=0.01)
         assert found["condition_number"][0] == pytest.approx(solution(weighting).condition_number ** 2, rel=1e-9)
 
 
