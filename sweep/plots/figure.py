@@ -260,8 +260,8 @@ def _others(dataset: xr.Dataset, variable: str, along: Sequence[str]) -> list[st
 def _too_many(dataset: xr.Dataset, dimensions: Sequence[str], variables: Sequence[str] = ()) -> SweepError:
     counts = {d: dataset.sizes[d] for d in dimensions} | ({"variables": len(variables)} if len(variables) > 1 else {})
     sizes = ", ".join(f"{name} ({number})" for name, number in counts.items())
-    choice = ", or choose with --variable" if len(variables) > 1 else ""
-    return SweepError(f"{sizes}: too many for one picture; fix some with --at AXIS=VALUE{choice}")
+    choice = ", choose some (--variable)" if len(variables) > 1 else ""
+    return SweepError(f"{sizes}: too many for one picture; fix some (--at AXIS=VALUE){choice} or draw along one (--over)")
 
 
 def _separation(array: xr.DataArray, dimension: str) -> float:
