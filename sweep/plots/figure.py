@@ -261,7 +261,7 @@ def _too_many(dataset: xr.Dataset, dimensions: Sequence[str], variables: Sequenc
     counts = {d: dataset.sizes[d] for d in dimensions} | ({"variables": len(variables)} if len(variables) > 1 else {})
     sizes = ", ".join(f"{name} ({number})" for name, number in counts.items())
     choice = ", choose some (--variable)" if len(variables) > 1 else ""
-    return SweepError(f"{sizes}: too many for one picture; fix some (--at AXIS=VALUE){choice} or draw along one (--over)")
+    return SweepError(f"{sizes}: too many for one picture; fix some (--at AXIS=VALUE){choice} or choose --over")
 
 
 def _separation(array: xr.DataArray, dimension: str) -> float:
