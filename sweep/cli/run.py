@@ -439,7 +439,8 @@ def status(store: "Location" = cli.STORE, as_json: bool = cli.JSON) -> None:
         cli.print_wrapped(f"by {report['command']}", later="   ")
     nexts = {
         f"sweep watch {name}": report["running"],
-        "the command that was stopped goes on": state == "stopped",
+        "the lost parts, and the merge again": "lost_parts" in report,
+        "the command that was stopped goes on": state == "stopped" and "lost_parts" not in report,
         f"sweep run --retry {name}": points["failed"] and not report["running"],
         f"sweep show {name}": report["complete"],
     }
