@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from astropy import units
 from astropy.table import Table as AstropyTable
-from hypothesis import given, strategies as st
+from hypothesis import example, given, strategies as st
 
 from linksweep.sweep.formatting import described, prefixed, short_meaning
 from linksweep.sweep.table_writer import Column, Table
@@ -50,6 +50,7 @@ def test_columns_stand_below_each_other_whatever_the_letters():
     assert "nan" not in rows[1]
 
 
+@example([1, 1], 20)
 @given(st.lists(st.integers(0, 3), max_size=6), st.integers(1, 60))
 def test_what_does_not_fit_is_left_out_by_rank_and_named(ranks, width):
     columns = [Column(f"c{i}", [10**6], quantity=f"c{i}", rank=rank) for i, rank in enumerate([0, *ranks])]
@@ -57,7 +58,9 @@ def test_what_does_not_fit_is_left_out_by_rank_and_named(ranks, width):
     names = [column.name for column in kept.columns]
     assert sorted([*names, *filter(None, left_out.split(", "))]) == [column.name for column in columns]
     gone = [column.rank for column in columns if column not in kept.columns]
-    assert not gone or min(gone) >= max([1, *(column.rank for column in kept.columns)])
+    assert 0 not in gone
+    by_rank = sorted(columns, key=lambda column: column.rank)  # of one rank the last goes first
+    assert {*names} == {column.name for column in by_rank[: len(names)]}
     line = max(map(len, kept.text(width).splitlines()))
     assert line <= width or not any(column.rank for column in kept.columns)
     assert not gone or len(Table(columns).text().splitlines()[-1]) > width

@@ -162,6 +162,9 @@ def test_the_levelling_law_is_that_of_scipy_with_its_errors(seed, quality):
         value, error = function(law), delta(function, law, spread, 1e-5)
         assert found[name].item() == pytest.approx(value, abs=0.01 * error), name
         assert found[f"{name}_error"].item() == pytest.approx(error, rel=0.02), name
+    without = linksweep.fit_levelling(results(x, y), "width", "n", fall=fall)  # errors come from the scatter
+    scatter = curve_fit(lambda at, *law: np.log(level(at, *law)), x, np.log(y), p0=law)[1]
+    assert without["rate_error"].item() == pytest.approx(np.sqrt(scatter[2, 2]), rel=0.02)
     of_samples = results(x, y, covariance=np.diag((relative * y) ** 2), samples=20)
     of_samples = linksweep.fit_levelling(of_samples, "width", "n", fall=fall)
     assert of_samples["rate_error"].item() == pytest.approx(found["rate_error"].item() * np.sqrt(factor(20)), rel=1e-3)

@@ -177,6 +177,9 @@ def test_no_more_than_the_realisations_that_are_allowed_are_spent_on_new_points(
     assert int(ds.n_sim_done.sum()) == spent
     new = set(ds.x.values.tolist()) - set(ELEVEN["x"])
     assert not new or max(new) > 0.75  # where the wave is largest
+    link = {"title": "", "axes": {"n_obj": [10, 20, 40]}, "sampling": {"n_sim": 10, "n_cat": 10}}  # 10 of one catalogue
+    ds = linksweep.refine(link, "l.zarr", find="sigma_spin < 0.0432", within=1, max_realisations=most, pool="serial")
+    assert 300 < int(ds.n_sim_done.sum()) <= most
 
 
 @pytest.mark.slow
@@ -246,6 +249,10 @@ def test_the_command_says_what_is_known_and_what_it_took(sweep, tmp_path):
         sweep("merge", *merged.split(), cwd=tmp_path, code=0)
         said = sweep("status", merged.split()[-1], cwd=tmp_path)[1]
         assert said.count("of sweep refine") == len(report["rounds"]) == 2
+    uneven = [f"{__file__}:noisy", "--axis", "x=0,0.1,0.4", "--set", "n_sim=50", "--within", "0.3", "-o", "u.zarr"]
+    report = json.loads(sweep("refine", *uneven, "--until", "error < 9", "--json", cwd=tmp_path, code=0)[1])
+    weighted = linksweep.open("u.zarr").y_mean_mc_error * [0.75, 1.0, 0.25]  # the value less that between the others
+    assert report["known"][""] == pytest.approx(2.0 * np.linalg.norm(weighted))
     (tmp_path / "g.py").write_text("def inverse(x: int, y: int):\n    return 1.0 / x\n")
     two = ["refine", "g.py:inverse", "--axis", "x=1,2", "--axis", "y=1,2", "--along", "x", "-o", "w.zarr", "--within"]
     for more in ("9 --until error<0.1", "0.1 --until error<0.1", "0.1 --find inverse<0.6"):  # no other full grid

@@ -86,6 +86,10 @@ def test_a_forecast_has_its_epochs_and_ranking():
     bars = [bar.get_width() for bar in linksweep.plot(plan, "ranking").axes[0].patches]
     now = float(plan.criterion.sel(stage="now"))
     np.testing.assert_allclose(bars[-1], 100.0 * (1.0 - plan.criterion_alone.values.min() / now))
+    plan = linksweep.forecast("psrpi", "psrpi", "spin", **options, criterion="D")  # by the determinant of a 3 x 3 matrix
+    errors = np.exp([plan.criterion_alone.values.min(), plan.criterion.sel(stage="now")]) ** (1 / 6)
+    bars = [bar.get_width() for bar in linksweep.plot(plan, "ranking").axes[0].patches]
+    np.testing.assert_allclose(bars[-1], 100.0 * (1.0 - errors[0] / errors[1]))
     with pytest.raises(linksweep.SweepError, match="--add"):
         linksweep.plot(linksweep.forecast("psrpi", "psrpi", "orientation"))
 

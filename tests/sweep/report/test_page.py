@@ -218,3 +218,5 @@ def test_a_function_has_its_docstring_what_decides_its_outputs_and_its_failures(
     assert re.search(r"<figcaption>curve, only a=1, a=\d, ", page)
     assert re.findall(r"<li>(27 like ValueError: undefined at )", with_failures)
     assert "<summary>Every point that failed (27)</summary>" in with_failures
+    long = linksweep.run(lambda: np.arange(8e4), tmp_path / "l.zarr", pool="serial")
+    assert report_page([(name, long) for name in "abc"]).count("would become too large: result") == 1  # the third
