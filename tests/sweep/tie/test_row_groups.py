@@ -75,6 +75,7 @@ def test_sources_without_a_motion_are_left_out_with_a_note(tmp_path, monkeypatch
     np.testing.assert_allclose(links[0].estimate, links[1].estimate, rtol=1e-9)
     assert [int(link.n_sources) for link in links] == [int(links[1].n_sources)] * 2
     assert any("721 of 3000 sources" in note for note in links[0].attrs["notes"])
+    assert any("from row 1 on: no errors of ra" in note for note in links[0].attrs["notes"]) == (rows == 1000)
 
 
 @pytest.mark.parametrize("clip", [*map(slow, ["none", "rayleigh", "median:5"])])
