@@ -49,7 +49,7 @@ def drawn_tables(folder, seed, n=12, free=2, scale=1.0, far=(), coarse=(), calib
     rows = replace(rows, values=values, errors=np.where([PRESENT[kind] for _, kind in kinds], rows.errors.T, np.nan).T)
     names = np.where(np.isfinite(rows.errors[0]), rng.choice(calibrators, size), "")
     shared = np.where(names == "", 0.0, rng.uniform(0.1, 1.0, size))
-    columns = {"calibrator": names, "calibrator_error": shared} if any(calibrators) else {}
+    columns = {"calibrator": names, "calibrator_error": np.where(names == "", 0.5, shared)} if any(calibrators) else {}
     paths = {"satellite": gaia(folder / "satellite.fits", own)}
     paths["reference"] = gaia(folder / "reference.fits", rows, source_id=source + 10**17, **columns)
     return SimpleNamespace(**paths, own=own, rows=rows, source=source, names=names, shared=shared)
