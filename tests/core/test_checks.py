@@ -48,7 +48,7 @@ PROBLEMS = [
     (GALAXIES | {"v_max": 10.9}, "v_max = 10.9 mag: "),
     *((RADIO | {"v_max": 9.0}, "v_max: "), (RADIO | {"aberration": True}, "aberration: ")),
     ({"satellite_errors": "catalogue"}, "satellite_errors = 'catalogue': "),
-    ({"satellite_errors": "normal", "satellite_sigma_pos": 2e7, "satellite_floor_pm": 2.0}, "2e+07 mas and 2.24 mas/yr"),
+    ({"satellite_errors": "normal", "satellite_sigma_pos": 2e7, "satellite_floor_pm": 2.0}, "mas and 2.24 mas/yr"),
     ({"mission_length": 5e-324}, "errors of inf mas and inf mas/yr: must be from"),
     ({"model": "gaia-2001", "v_max": 21.5}, "v_max = 21.5 mag: the curve of 'gaia-2001' ends at 21 mag"),
     ({"contents": {}, "catalogue": "synthetic"}, "file: catalogue = 'file' needs a file, and other"),

@@ -133,16 +133,20 @@ def linked(folder, sky, form="fits", units=True, **options):
     return linksweep.tie(folder / "gaia.fits", folder / "vlbi.fits", "orientation,spin", **options)
 
 
-def with_every_parameter(link, sky, models):
-    """Return unknowns, covariance, squares and paths from one large system of observations and differences, in mas."""
+def with_every_parameter(link, sky, models, shared):
+    """Return unknowns, covariance, squares and paths from one large system of observations and differences, in mas,
+    whose last unknowns are the errors that the differences of a star share, in units of their size ``shared``.
+    """
     free = [np.array([*range(5), *(5 + k for k in BENDS[model]), 10]) for model in models]
-    scale = np.ones(6 + 11 * len(models))
-    scale[16::11] = 1e-4  # of colours
+    end = 6 + 11 * len(models)
+    scale = np.ones(end + 2 * len(models))
+    scale[16:end:11] = 1e-4  # of colours
     blocks, right, alone = [], [], []
 
-    def add(s, of_frame, of_star, values, errors):
+    def add(s, of_frame, of_star, values, errors, of_shared=0.0):
         block = np.zeros((len(values), len(scale)))
         block[:, :6], block[:, 6 + 11 * s : 17 + 11 * s] = of_frame, of_star
+        block[:, end + 2 * s : end + 2 * s + 2] = of_shared
         blocks.append(block * scale / errors[:, None])
         right.append(values / errors)
 
@@ -153,6 +157,7 @@ def with_every_parameter(link, sky, models):
         found[used] = unit * np.linalg.lstsq(a[:, used] * unit / errors[:, None], y / errors, rcond=None)[0]
         alone.append(found)
         add(s, 0.0, a, y - a @ found, errors)
+        add(s, 0.0, 0.0, np.zeros(2), np.ones(2), np.eye(2))
     for r, s in enumerate(link.row_source_index.values):
         ra, dec = np.radians([link.ra.values[s], link.dec.values[s]])
         turn, years = turned(ra, dec), link.row_epoch.values[r] - EPOCH
@@ -160,15 +165,15 @@ def with_every_parameter(link, sky, models):
         factors = parallax_factors(np.array([ra]), np.array([dec]), link.row_epoch.values[[r]])
         partials = np.hstack([np.eye(2), factors, years * np.eye(2), bend, np.zeros((2, 1))])
         errors = np.array([sky.vlbi["ra_error"][r], sky.vlbi["dec_error"][r]])
-        add(s, np.hstack([turn, years * turn]), partials, link.difference.values[r, :2], errors)
-    at = np.concatenate([np.arange(6), *(6 + 11 * s + used for s, used in enumerate(free))])
+        add(s, np.hstack([turn, years * turn]), partials, link.difference.values[r, :2], errors, shared * np.eye(2))
+    at = np.concatenate([np.arange(6), *(6 + 11 * s + used for s, used in enumerate(free)), np.arange(end, len(scale))])
     matrix, right = np.concatenate(blocks)[:, at], np.concatenate(right)
     found, covariance = np.zeros(len(scale)), np.zeros(2 * scale.shape)
     found[at] = scale[at] * np.linalg.lstsq(matrix, right, rcond=None)[0]
     covariance[np.ix_(at, at)] = np.linalg.inv(matrix.T @ matrix) * scale[at] * scale[at, None]
     squares = np.sum((right - matrix @ (found[at] / scale[at])) ** 2)
-    sigma = np.sqrt(np.diag(covariance))[6:].reshape(-1, 11)
-    paths = np.array(alone) + found[6:].reshape(-1, 11)
+    sigma = np.sqrt(np.diag(covariance))[6:end].reshape(-1, 11)
+    paths = np.array(alone) + found[6:end].reshape(-1, 11)
     each = zip(paths, sigma, free, strict=True)
     return found[:6], covariance[:6, :6], squares, [(path[used], error[used], used) for path, error, used in each]
 
@@ -203,9 +208,10 @@ def test_a_link_is_that_of_all_observations_with_every_parameter(tmp_path_factor
     sky = drawn(seed, models, n_transits, excess=0.1 * noisy)
     sky.scans = sky.scans[np.random.default_rng(seed).permutation(len(sky.scans))]
     chosen = models_of(folder, sky, models, campbell=bool(seed % 2))
+    sky.vlbi["calibrator"], sky.vlbi["calibrator_error"] = "J1", 0.2  # mas
     link = linked(folder, sky, epoch=EPOCH, accept_misfit=True, **chosen)
     assert link.path_model.values.tolist() == models
-    estimate, covariance, squares, paths = with_every_parameter(link, sky, models)
+    estimate, covariance, squares, paths = with_every_parameter(link, sky, models, 0.2)
     error = np.sqrt(np.diag(covariance))
     np.testing.assert_allclose(link.estimate / error, estimate / error, atol=1e-3)
     np.testing.assert_allclose(link.covariance / np.outer(error, error), covariance / np.outer(error, error), atol=1e-3)

@@ -14,7 +14,7 @@ from linksweep.sweep.cli import main
 from linksweep.sweep.studies.reader import study_from_dict
 from linksweep.sweep.tie import experiment
 from linksweep.sweep.tie.experiment import FIELDS, check, design_of, tie
-from tests.core.tie.made import MAS, Objects, gaia, gaia_table, noise, parse_unknowns, spin_block, stars
+from tests.core.tie.made import MAS, POSITION, Objects, gaia, gaia_table, noise, only, parse_unknowns, spin_block, stars
 from tests.tiers import slow
 
 TIE = "linksweep.sweep.tie.experiment:tie"
@@ -214,8 +214,10 @@ def written(folder, **changes):
 
 @pytest.mark.parametrize("case", [case if case == "discrepancy:2" else slow(case) for case in CASES])
 def test_a_study_has_what_the_command_has_with_each_option(here, case):
-    gaia("satellite.ecsv", stars(20, 3))
-    reference = stars(20, 4)
+    silent = np.array(case != "jitter") & (np.arange(20) == 0)  # without a motion the first source says nothing
+    says = POSITION[:, None] | ~silent
+    gaia("satellite.ecsv", only(stars(20, 3), says))
+    reference = only(stars(20, 4), says, epoch=2016.0 + 5.0 * silent)
     values = stars(20, 3).values + 3.0 * noise(np.random.default_rng(1), reference)
     gaia("reference.ecsv", replace(reference, values=values))
     hip = gaia_table(replace(stars(20, 3), epoch=np.full(20, 1991.25)))
@@ -240,4 +242,4 @@ def test_a_study_has_what_the_command_has_with_each_option(here, case):
     np.testing.assert_allclose(results.sigma_predicted.values[:6], formal, rtol=1e-9)
     assert results.chi2_ratio.item() == pytest.approx(float(link.chi2 / link.chi2_expected))
     assert results.largest_share.item() == pytest.approx(float(link.share.max()))
-    assert results.n_kept.item() == int(link.n_sources)
+    assert results.n_kept.item() == int(link.n_sources) <= 19 + (case in ("jitter", "missions"))
