@@ -103,6 +103,7 @@ WRONG = [
     (sobol(design="sobl"), "points.design: input should be 'sobol',"),
     (sobol(n=None), "n = None, ranges = {'beta': [1, 2]}: needs both (--design"),
     (sobol(ranges={"beta": [0, 2]}), "points.ranges.beta: beta = 0: must be a number > 0"),
+    (sobol(ranges={"k": [1, 2**63]}), "points.ranges.k: k = 9223372036854775808: must be"),
     (sobol(ranges={"beta": [2, 1]}), "low = 2 must be less than high = 1"),
     (sobol(ranges={"solver": ["a", "b"]}), "write { values = [...] }"),
     (sobol(ranges={"k": {"low": 0, "high": 9, "spacing": "log"}}), "log spacing needs numbers above 0, not 0"),
