@@ -70,14 +70,14 @@ def test_where_that_fails_catalogues_are_evaluated_one_by_one(wrong, caplog):
     assert "tried" not in caplog.text  # what was printed in vain is not kept
 
 
-def failed(of_all, store, max_failures=None, **declared):
+def failed(of_all, store, max_failures=None, x=X, **declared):
     """How many points failed, and why the first did; the first ones of a run are computed alone, to measure them."""
 
     @linksweep.experiment(vectorised=True, **declared)
     def function(x: float):
         return of_all(x)
 
-    dataset = linksweep.run(function, store, axes={"x": X}, pool="serial", max_failures=max_failures)
+    dataset = linksweep.run(function, store, axes={"x": x}, pool="serial", max_failures=max_failures)
     return int((dataset.status == 2).sum()), next(iter(json.loads(dataset.attrs["failures"]).values()), "")
 
 
@@ -87,6 +87,11 @@ def test_what_depends_on_the_others_fails_with_both_values(of_all, tmp_path):
     assert number >= 290
     there, alone = re.search(r"is (.+) in a call for [\d,]+ points, but (.+) for the same point \(x=", message).groups()
     assert there != alone
+
+
+def test_a_call_for_few_points_does_not_vouch_for_others(tmp_path):
+    late = [failed(lambda x: x + (len(x) > 4), tmp_path / f"{len(x)}.zarr", x=x)[0] for x in (X[:3], X)]
+    assert (late[0], late[1] >= 290) == (0, True)
 
 
 @pytest.mark.parametrize("of_all", few(5, OWN[::-1]))

@@ -154,6 +154,8 @@ def test_a_quantiles_error_is_made_of_the_order_statistics_at_two_sigma():
     assert least <= error[0] <= most
     assert one("q10", -values)[1][0] == pytest.approx(error[0], rel=1e-12)
     assert one("q90", 5.0 * values + 2.0)[1][0] == pytest.approx(5.0 * error[0], rel=1e-12)
+    repeated = np.array([[0, 0], [1, 1], [1, 1], [1, 1], [1, 2], [2, 3.0]])  # 3 and 4 values, with both limits
+    assert np.isfinite(one("median", repeated)[1]).tolist() == [False, True]
 
 
 def test_numbers_of_several_blocks_are_those_of_numpy_also_far_from_zero():

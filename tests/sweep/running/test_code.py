@@ -57,7 +57,7 @@ def f(x: float): return g(x) * K * c.k * C.k + len(ALL) + ALL["a"]([0.0]) * 0 + 
 """
 NAMED = {"h.K = 4.0": "value h.K", "h.c.k = 4.0": "value h.c", "h.C.k = 4.0": "value h.C.k ("}
 NAMED |= {"h.g.__kwdefaults__['s'] = 2.0": "h.g", "h.ALL['a'] = sum": "value h.ALL"}
-NAMED |= {"h.C.__bases__ = (h.B2,)": "class h.C", "h.P = h.make_dataclass('P', 'ba')": "P.__match_args__"}
+NAMED |= {"h.C.__bases__ = h.B, h.B2": "class h.C", "h.P = h.make_dataclass('P', 'ba')": "P.__match_args__"}
 DECLARED = """
 import threading, linksweep
 from pathlib import Path

@@ -211,6 +211,13 @@ def test_values_without_effect_are_on_no_axis_and_none_is_one_of_its_own(tmp_pat
         ds = linksweep.run(f"{tmp_path}/m.py:g", tmp_path / f"{number}", when={"star": {"mode": ["m"]}}, **more)
         assert ds.g.values.ravel().tolist() == ["('None', 'None')"]
 
+    def f(k: str, n: int):
+        return f"{k} {n}"
+
+    axes = {"k": ["a", "b"], "n": [1, 2]}  # without a default n is None
+    ds = linksweep.run(f, tmp_path / "n.zarr", axes=axes, when={"n": {"k": ["b"]}}, pool="serial")
+    assert {*ds.f.values[ds.status.values == 1]} == {"a None", "b 1", "b 2"}
+
 
 @pytest.mark.parametrize("when", [*WRONG, "gamma", {"gamma": {"kernel": []}}, {"gamma": {"gamma": [1.0]}}])
 def test_a_condition_that_means_nothing_is_refused(tmp_path, when):
