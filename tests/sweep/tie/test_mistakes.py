@@ -17,6 +17,7 @@ from linksweep.core.frames import MAS
 from linksweep.core.tie.astrometry import parallax_factors, propagated
 from linksweep.sweep.cli import main
 from tests.core.tie.made import NAMES, gaia_table, noise, seen_by_satellite, stars
+from tests.sweep.tie.test_against_least_squares import drawn_tables, linked
 from tests.tiers import few, slow
 
 EPSILON, OMEGA = np.array([0.8, -1.5, 0.6]) * MAS, np.array([-0.12, 0.25, 0.07]) * MAS
@@ -208,3 +209,5 @@ def test_a_real_misfit_has_no_invented_cause_and_sources_that_alone_carry_it_are
     for name in (*MOTIONS, *ERRORS[3:]):
         reference[name][0] /= 1e3
     assert f"without {bad} it is " in solved(tmp_path, satellite, reference)[0]  # although it fits well itself
+    notes = linked(drawn_tables(tmp_path, 1, scale=3.0)).attrs["notes"]  # some positions say nothing without motions
+    assert any("most of it in the proper motions of the five-parameter rows of" in note for note in notes)
