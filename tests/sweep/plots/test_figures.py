@@ -1,12 +1,9 @@
 """Pictures of small real stores: which suits, what stands on their axes, and what is refused."""
 
-from itertools import pairwise
-
 import numpy as np
 import pytest
 
 import linksweep
-from linksweep.sweep.formatting import with_error
 from tests.tiers import slow
 
 LIMIT, NUMBER = r"$V_\mathrm{max}$ [mag]", r"$N_\mathrm{obj}$"
@@ -45,8 +42,6 @@ def test_every_study_has_a_picture_without_options(dataset_of, name):
     dataset = dataset_of(name)
     figure = linksweep.plot(dataset)
     assert (len(axes_of(figure)), axes_of(figure)[-1].get_xlabel()) == PICTURES[name]
-    for left, right in pairwise(axes_of(figure)):  # who has a scale of its own has its numbers
-        assert left.get_ylim() == right.get_ylim() or right.yaxis.get_tick_params().get("labelleft", True)
     assert figure.get_suptitle().startswith(dataset.attrs["title"])
     assert len(figure._repr_png_()) > 10_000  # as a notebook shows it
 
@@ -110,8 +105,7 @@ def test_a_scatter_has_all_estimates_ellipses_and_truth(dataset_of):
     assert (truth.get_xdata()[0], truth.get_ydata()[0]) == pytest.approx((1.0, 1.0), abs=1e-9)  # of the study
     mean = np.ptp(axes.containers[0].lines[2][0].get_segments()[0][:, 0]) / 2.0  # its error is that of the bias
     assert mean == pytest.approx(dataset["bias_mc_error"].sel(component="omega_x").item())
-    spread = with_error(x.std(ddof=1), x.std(ddof=1) / np.sqrt(2 * len(x)))
-    assert f" = {spread} mas/yr" in axes.figure.legends[0].get_title().get_text()
+    assert f"± {x.std(ddof=1) / np.sqrt(2 * len(x)):.3f} mas/yr" in axes.figure.legends[0].get_title().get_text()
     offset = np.stack([x - x.mean(), y - y.mean()])
     distance = np.einsum("in,ij,jn->n", offset, np.linalg.inv(np.cov(x, y)), offset)
     for ellipse, share in zip(axes.patches, (0.683, 0.954), strict=True):

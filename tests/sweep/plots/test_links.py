@@ -83,13 +83,11 @@ def test_a_forecast_has_its_epochs_and_ranking():
     _, right = linksweep.plot(plan).axes[:2]
     np.testing.assert_allclose(right.lines[0].get_ydata(), 1000.0 * plan.error_with_epoch.values[:, 3])
     assert "µas/yr" in right.get_ylabel()
-    bars = [bar.get_width() for bar in linksweep.plot(plan, "ranking").axes[0].patches]
-    now = float(plan.criterion.sel(stage="now"))
-    np.testing.assert_allclose(bars[-1], 100.0 * (1.0 - plan.criterion_alone.values.min() / now))
-    plan = linksweep.forecast("psrpi", "psrpi", "spin", **options, criterion="D")  # by the determinant of a 3 x 3 matrix
-    errors = np.exp([plan.criterion_alone.values.min(), plan.criterion.sel(stage="now")]) ** (1 / 6)
-    bars = [bar.get_width() for bar in linksweep.plot(plan, "ranking").axes[0].patches]
-    np.testing.assert_allclose(bars[-1], 100.0 * (1.0 - errors[0] / errors[1]))
+    for criterion, error in (("A", np.positive), ("D", lambda value: np.exp(value / 6))):  # a determinant of 3 x 3
+        plan = linksweep.forecast("psrpi", "psrpi", "orientation,spin", **options, criterion=criterion)
+        bars = [bar.get_width() for bar in linksweep.plot(plan, "ranking").axes[0].patches]
+        now = float(plan.criterion.sel(stage="now"))
+        np.testing.assert_allclose(bars[-1], 100.0 * (1.0 - error(plan.criterion_alone.values.min()) / error(now)))
     with pytest.raises(linksweep.SweepError, match="--add"):
         linksweep.plot(linksweep.forecast("psrpi", "psrpi", "orientation"))
 

@@ -271,6 +271,7 @@ def test_titles_and_labels_of_panels_neither_overlap_nor_leave_the_figure(datase
     long = dataset["v_max"].assign_attrs(symbol="a parameter with a long name")
     dataset = dataset.assign_coords(v_max=long).assign_coords(model=["one of two long names", "the other of them"])
     figure = drawn(dataset, "lines")
+    assert all(a.get_ylim() == b.get_ylim() or b.yaxis.get_tick_params()["labelleft"] for a, b in pairwise(figure.axes))
     for texts in ([axes.title for axes in figure.axes], [axes.xaxis.label for axes in figure.axes]):
         boxes = [text.get_window_extent() for text in texts if text.get_text()]
         assert boxes

@@ -134,7 +134,7 @@ def test_speed_is_that_from_one_delivery_to_the_next(tmp_path, monkeypatch, step
                 watched.look()
                 speeds[-1] = watched.speed
 
-    (tmp_path / "f.py").write_text("def f(x: int):\n    return x\n")
+    (tmp_path / "f.py").write_text("def f(x: int):\n    return 1 // x\n")
     document = {"title": "f", "experiment": f"{tmp_path}/f.py:f", "axes": {"x": list(range(10))}}
     run(document, tmp_path / "s.zarr", OFTEN, progress=Looking())
     lines = [f"{10 * n} % of the work, 0.2 points/s, about {50 - 5 * n} s left" for n in range(4, 10)]
@@ -161,7 +161,7 @@ def test_looking_writes_nothing_and_what_is_damaged_or_replaced_meanwhile_is_sai
         watched.look()
         assert watched.progress == "6 of 6 points done"
     part.write_bytes(b"other")
-    assert "unreadable" in sweep_here("watch", store, code=2)[1]
+    assert "unreadable" in sweep_here("watch", store, coin_store, code=2)[1]
     (tmp_path / "other").mkdir()
     (tmp_path / "other" / "zarr.json").write_text("{}")
     assert sweep_here("watch")[0] == sweep_here("watch", tmp_path / "other")[0] == 2
@@ -221,14 +221,12 @@ def test_after_a_fifth_of_the_work_it_is_right_within_a_factor_of_one_and_a_half
 @examples_of(max_examples=examples(200), derandomize=True)
 @given(st.lists(STEPS, max_size=30), st.floats(0, 1e15), st.one_of(st.none(), st.integers(0, 100)))
 def test_never_negative_nor_nan(steps, cost, workers):
-    eta = Eta(workers)
-    now = 0.0
+    eta, now, one = Eta(workers), 0.0, Eta(1)
+    assert [one.take(3.0, 1.0, 3.0), one.take(3.0, 1.0, 3.0), one.left(3.0, 8.0)][2] == 24.0  # and not of three workers
     assert eta.left(now, cost) is None
     for passed, done, seconds, more in steps:
         now += passed
         eta.take(now, done, seconds)
         cost += more - done
         for later in (0.0, 1.0, 1e9):
-            left = eta.left(now + later, cost)
-            assert math.isfinite(left)
-            assert left >= 0.0
+            assert 0.0 <= eta.left(now + later, cost) < math.inf
