@@ -143,7 +143,7 @@ def test_what_is_wrong_is_named(columns, names, sentence, write):
 def test_a_file_is_taken_whole_by_magnitude_or_by_chance(write):
     table = write(GAIA | ERRORS)
     np.testing.assert_array_equal(read(table, v_max=14.0).v_mag, MAG[:3])
-    np.testing.assert_array_equal(read(table, v_min=10.0, v_max=14.0).v_mag, MAG[1:3])
+    np.testing.assert_array_equal(read(table, v_min=12.0, v_max=14.0).v_mag, MAG[1:3])
     pairs = [drawn(k, catalogue="file", file=table, n_obj=2, v_max=14.0).v_mag.tolist() for k in range(300)]
     counts = [pairs.count(pair) for pair in ([9.5, 12.0], [9.5, 14.0], [12.0, 14.0])]
     assert sum(counts) == 300  # no object twice, none beyond the limit
