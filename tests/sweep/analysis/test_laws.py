@@ -192,9 +192,6 @@ def test_options_of_commands_say_what_arguments_of_functions_do(tmp_path, sweep_
                 found = [np.nan if row[name] is None else row[name] for row in rows]
                 finite = np.where(np.isfinite(values), values, np.nan)
                 np.testing.assert_array_equal(found, finite.reshape(-1), err_msg=f"{command}: {name}")
-    ragged = linksweep.experiment(outputs=[linksweep.Output("y", ragged=True)])(lambda n: {"y": np.arange(n) ** 2.0})
-    ds = linksweep.run(ragged, tmp_path / "r.zarr", axes={"n": [3, 5]}, pool="serial")
-    assert find(ds, "y > 1.5", "y_dim_0")["first"].values == pytest.approx(1.0 + np.log(1.5) / np.log(4.0))
 
 
 @pytest.mark.slow
