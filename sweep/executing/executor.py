@@ -271,8 +271,11 @@ class _Child:
             self.channel, theirs = multiprocessing.Pipe()
             self._words: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed with the child)
             self._is_open, self._is_ready, self._is_overfull = True, self._forked, False
+            import psutil
+
             # A copy has all pages of this process from the start, which cost nothing and are no need of its blocks.
-            self._inherited = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss if self._forked else 0
+            inherited = psutil.Process().memory_info().rss if self._forked else 0
+            self._most = inherited + MEMORY_SHARE * (self._memory_limit or float("inf"))
             if self._forked:
                 arguments = self.channel, theirs, self._words
                 self._process = multiprocessing.get_context("fork").Process(target=_compute_forked, args=arguments)
@@ -340,13 +343,10 @@ class _Child:
 
     def end_if_overfull(self) -> None:
         """End a process that has taken more memory than the limit."""
-        if not self._memory_limit:
-            return
         import psutil
 
         with suppress(psutil.NoSuchProcess):
-            taken = psutil.Process(self._process.pid).memory_info().rss - self._inherited
-            if taken > MEMORY_SHARE * self._memory_limit:
+            if psutil.Process(self._process.pid).memory_info().rss > self._most:
                 self._is_overfull = True
                 self._process.kill()
 
