@@ -236,11 +236,15 @@ def _deficit(problem: Problem, groups: Sequence[_Group]) -> str:
     and that of all next to its expectation.
     """
     causes: dict[float, Cause] = {}  # the same errors may have several names
+    levels: dict[Any, dict[str, float]] = {}  # and so may the same rows: of 40 stars two thirds of the changes
     for group in groups:
         names = {group.words.removeprefix("the ").partition(" of ")[0]: group.rows} | WITH_ERRORS
         wholes = [part for part in _wholes(problem) if part.table in ("satellite", group.part.table)]
         for (factor, unit, name, rows), part in product(_in_units(LARGER, names), (group.part, *wholes[::-1])):
-            level = _levels(problem, part, _scaled(rows, factor, errors=True))
+            change = factor, rows, part.table, part.at.tobytes()
+            if change not in levels:
+                levels[change] = _levels(problem, part, _scaled(rows, factor, errors=True))
+            level = levels[change]
             if level and 0.1 < level[group.words] < EXCESS:
                 ratio = max(level[group.words], level[""], key=lambda one: abs(np.log(one)))
                 # a unit brings chi2 at least four times nearer to 1, in the logarithm; errors may just be too large
