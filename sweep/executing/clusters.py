@@ -25,7 +25,6 @@ from typing import Annotated, Any
 
 import dask
 from distributed import Client, Future, KilledWorker, LocalCluster, Security, SpecCluster, WorkerPlugin, get_worker, rpc
-from distributed.utils import silence_logging_cmgr
 from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, ValidationError, ValidationInfo, field_validator
 from threadpoolctl import threadpool_limits
 from tornado.ioloop import PeriodicCallback
@@ -48,6 +47,9 @@ CLOSE_S = 0.5
 
 # Seconds between two looks whether a cluster has lost workers.
 REPLACE_EVERY_S = 5
+
+# Lets through what a logger of this name logs: nothing.
+NO_RECORDS = logging.Filter("linksweep.nobody")
 
 # Keeps modules of the present folder, which may be a stranger's, out of the processes of a cluster.
 SAFE_PATH = "PYTHONSAFEPATH"
@@ -78,8 +80,7 @@ def dask_workers(reference: str, resources: Resources, say: Callable[[str], None
     Raises SweepError where none answers, for anything wrong in the file, and for workers that would compute other
     numbers than this process.
     """
-    # What Dask's log says at length, we say in a sentence.
-    with silence_logging_cmgr(logging.CRITICAL + 1), ExitStack() as stack:
+    with without_logs(), ExitStack() as stack:
         if (client := resources.client) is not None:
             words = f"the Dask scheduler at {client.scheduler_info()['address']}"
             stack.enter_context(_lost_workers_replaced(client.cluster))
@@ -288,6 +289,23 @@ def _lost_workers_replaced(cluster: Any) -> Iterator[None]:
         yield
     finally:
         loop.add_callback(replacing.stop)
+
+
+@contextmanager
+def without_logs() -> Iterator[None]:
+    """Keep Dask's log off standard error in this block, since we say in a sentence what it says at length; other
+    handlers of its loggers are left alone.
+    """
+    # One of Dask's is that of all its loggers, of tornado's and of bokeh's.  Dask's own `silence_logging_cmgr` only
+    # raises its level, which what starts or ends a cluster meanwhile sets again.
+    handlers = [one for one in logging.getLogger("distributed").handlers if type(one) is logging.StreamHandler]
+    for handler in handlers:
+        handler.addFilter(NO_RECORDS)
+    try:
+        yield
+    finally:
+        for handler in handlers:
+            handler.removeFilter(NO_RECORDS)
 
 
 # The arguments of the `adapt` of a cluster, which takes any other without a word and then does nothing.
