@@ -258,10 +258,12 @@ def _levels(problem: Problem, part: _Part, change: Change) -> dict[str, float]:
     """Return chi2 over its expectation with a part changed, of each group and under '' of all; nothing where that
     changes nothing or has no solution.
     """
-    trial = _applied(problem, part, change)
-    if trial is None or _ratio(trial) == np.inf:
+    if (trial := _applied(problem, part, change)) is None:
         return {}
-    solution = solve(source_sums(trial))
+    try:
+        solution = solve(source_sums(trial))
+    except LinkError:
+        return {}
     return {one.words: one.squares / one.expected for one in _groups(trial, solution)} | {"": solution.scale**2}
 
 

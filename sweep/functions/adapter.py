@@ -493,11 +493,9 @@ class FunctionExperiment(Experiment):
 
     def as_record(self) -> dict[str, Any]:
         """Return what a store records of a plain function besides what it records of every experiment."""
-        outputs, layout = [asdict(replace(output, coords=None)) for output in self.declared], dict[str, Any]()
-        if (one := self.layout) is not None:
-            layout = {"fields": [*map(vars, one.fields)], "coordinates": [*map(vars, one.coordinates)]}
-            layout |= {"drawn": one.drawn}
-        return {"function": {"rng": self.rng, "layout": layout or None, "outputs": outputs}}
+        layout = None if self.layout is None else results.json_of_layout(self.layout)
+        outputs = [asdict(replace(output, coords=None)) for output in self.declared]
+        return {"function": {"rng": self.rng, "layout": layout, "outputs": outputs}}
 
 
 def _column(values: list[Any]) -> NDArray[Any]:
