@@ -5,7 +5,7 @@ in which chunks large arrays are stored; the status of a point, as stores and da
 import math
 import struct
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from enum import IntEnum
 from typing import Any, NamedTuple
 
@@ -241,83 +241,31 @@ def unfinished_in_words(counts: Mapping[Status, int]) -> str:
     return " and ".join(f"{counts[code]} {code.word}" for code in undone if counts.get(code))
 
 
-class BlockRows(Mapping[bytes, int]):
-    """The rows of a ledger by the keys of their blocks; the last row of a key counts.
+# In place of the key of a row that was lost.
+NO_KEY = bytes(KEY_BYTES)
 
-    A dictionary of a million keys takes 200 MB and seconds to make, so it is made only where a single key is looked up.
-    """
 
-    def __init__(self, keys: Sequence[bytes] | bytes) -> None:
-        """Start with the keys of all rows; one of zeros alone is that of a row that was lost."""
-        self._keys = bytearray(keys if isinstance(keys, bytes) else b"".join(keys))
-        self._number: dict[bytes, int] | None = None
-        self._sorted: tuple[NDArray[np.bytes_], NDArray[np.intp]] | None = None
+class BlockRows(dict[bytes, int]):
+    """The rows of a ledger by the keys of their blocks; the last row of a key counts, and no row with `NO_KEY`."""
+
+    def __init__(self, keys: Sequence[bytes] = ()) -> None:
+        super().__init__()
+        # The row that the next key gets.
+        self.end = 0
+        self.extend(keys)
 
     def extend(self, keys: Sequence[bytes]) -> None:
         """Add the rows that follow the last one."""
-        if self._number is not None:
-            first = self.end
-            self._number.update(zip(keys, range(first, first + len(keys)), strict=True))
-        self._keys += b"".join(keys)
-        self._sorted = None
-
-    @property
-    def end(self) -> int:
-        """The row that the next key gets."""
-        return len(self._keys) // KEY_BYTES
+        self.update(zip(keys, range(self.end, self.end + len(keys)), strict=True))
+        self.pop(NO_KEY, None)
+        self.end += len(keys)
 
     def keys_of_rows(self) -> list[bytes]:
-        """Return the key of each row, zeros for one that does not count."""
-        whole = bytes(self._keys)
-        return [whole[start : start + KEY_BYTES] for start in range(0, len(whole), KEY_BYTES)]
-
-    def remove(self, keys: Iterable[bytes]) -> None:
-        """Make blocks count as missing, also where earlier rows have their keys."""
-        gone = set(keys)
-        self._keys = bytearray().join(bytes(KEY_BYTES) if key in gone else key for key in self.keys_of_rows())
-        self._number = self._sorted = None
-
-    def find(self, keys: Sequence[bytes]) -> NDArray[np.intp]:
-        """Return the row of each key, -1 where there is none."""
-        known, rows = self._in_order()
-        wanted = np.frombuffer(b"".join(keys), dtype=known.dtype)
-        if not len(known):
-            return np.full(len(wanted), -1)
-        order, places = np.argsort(wanted), np.empty(len(wanted), dtype=np.intp)
-        # Neighbours one after the other, which takes a third of the time; of equal keys the last.
-        places[order] = np.searchsorted(known, wanted[order], side="right") - 1
-        return np.where(known[places] == wanted, rows[places], -1)
-
-    def __getitem__(self, key: bytes) -> int:
-        return self._numbers[key]
-
-    def __iter__(self) -> Iterator[bytes]:
-        return iter(self._numbers)
-
-    def __len__(self) -> int:
-        if self._number is not None:
-            return len(self._number)
-        known, _ = self._in_order()
-        return len(known) - int(np.count_nonzero(known[1:] == known[:-1]))
-
-    def __bool__(self) -> bool:
-        return bool(self._number) if self._number is not None else any(self._keys)
-
-    @property
-    def _numbers(self) -> dict[bytes, int]:
-        if self._number is None:
-            lost = bytes(KEY_BYTES)
-            self._number = {key: row for row, key in enumerate(self.keys_of_rows()) if key != lost}
-        return self._number
-
-    def _in_order(self) -> tuple[NDArray[np.bytes_], NDArray[np.intp]]:
-        """Return the keys that count, sorted, and the row of each; equal ones stay in order of rows."""
-        if self._sorted is None:
-            keys = np.frombuffer(bytes(self._keys), dtype=f"S{KEY_BYTES}")
-            rows = np.flatnonzero(keys != b"")
-            rows = rows[np.argsort(keys[rows], kind="stable")]
-            self._sorted = keys[rows], rows
-        return self._sorted
+        """Return the key of each row, `NO_KEY` for one that does not count."""
+        keys = [NO_KEY] * self.end
+        for key, row in self.items():
+            keys[row] = key
+        return keys
 
 
 # The most values of a chunk of results, 8 MB of floats.  Values are counted and not bytes, so that results on the same

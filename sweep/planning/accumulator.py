@@ -68,7 +68,7 @@ class Accumulator:
         """
         grid = plan.grid
         self.plan, self._failed, self._only = plan, failed, only
-        self._rows = BlockRows(b"") if rows is None else rows
+        self._rows = BlockRows() if rows is None else rows
         self.reducer = grid.study.experiment.reducer
         self._samples = samples if self.reducer.samples_width else None
         self.total = np.zeros(len(grid), dtype=self.reducer.dtype)
@@ -120,7 +120,7 @@ class Accumulator:
         for start in range(0, len(indices), AT_ONCE):
             some = indices[start : start + AT_ONCE]
             digests = self.plan.grid.digests(some)
-            rows = self._rows.find([digest + of_block for digest in digests])
+            rows = np.array([self._rows.get(digest + of_block, -1) for digest in digests], dtype=np.intp)
             there, failed = rows >= 0, _among(digests, self._failed)
             done, missing = there & ~failed, ~there & ~failed & (self._only is None or _among(digests, self._only))
             self.status[some] = np.select([failed, done], [int(Status.FAILED), DONE], MISSING)

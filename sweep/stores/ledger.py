@@ -25,8 +25,8 @@ import numpy as np
 from numcodecs import zstd
 from numpy.typing import ArrayLike, NDArray
 
-from linksweep.sweep.contract import Array, Outcome, Rows, SweepError, refused
-from linksweep.sweep.contract.rows import KEY_BYTES, REFERENCE, BlockRows, absent, chunk_grid, chunk_shape, converted
+from linksweep.sweep.contract import NO_KEY, Array, BlockRows, Outcome, Rows, SweepError, refused
+from linksweep.sweep.contract.rows import KEY_BYTES, REFERENCE, absent, chunk_grid, chunk_shape, converted
 from linksweep.sweep.stores import integrity
 from linksweep.sweep.stores.integrity import MANIFEST, ROOT, STORE, File, LedgerPart, Manifest, noting
 from linksweep.sweep.stores.location import Location, located, reading, writing
@@ -260,7 +260,7 @@ class Ledger:
         records = self._records(contents, self.damaged)
         # Kept for the one who opens the store; gone with the first new rows, since it may be as large as all results.
         self._rows: Rows | None = np.ascontiguousarray(records["row"])
-        self.rows = BlockRows(records["key"].tobytes())
+        self.rows = BlockRows(records["key"].tolist())
         self.chunks = _references(records)
         self.damaged |= dict.fromkeys({*map(file_of, self.chunks)} - self.keys, integrity.MISSING)
         self._seconds = [records["seconds"].copy()]
@@ -360,7 +360,7 @@ class Ledger:
         """Give rows another type, those that are there without the blocks to ``drop``; durable after `flush`."""
         if self.writes:
             self.flush()
-        revision, gone = self.manifest.revision + 1, {bytes(KEY_BYTES), *drop}
+        revision, gone = self.manifest.revision + 1, {NO_KEY, *drop}
         before, self.parts, self.chunks = self.parts, [], set()
         for number, part in enumerate(before):
             # One by one: samples may not fit into memory together.
@@ -375,7 +375,8 @@ class Ledger:
             samples = samples[np.repeat(kept, _counts(records).astype(np.intp))] if part.samples else samples
             samples = samples.reshape(len(samples), samples_width)
             self.parts.append(self._put((changed, samples), revision, 10**6 + number))
-        self.rows.remove(gone)
+        for key in gone & self.rows.keys():
+            del self.rows[key]
         self.dtype, self.samples_width, self._rows, self._changed = dtype, samples_width, None, True
 
     def put(self, kind: str, attributes: Mapping[str, Any]) -> None:
