@@ -321,7 +321,7 @@ def plan(
     accept_code: bool = cli.ACCEPT_CODE,
     as_json: bool = cli.JSON,
 ) -> None:
-    """Say what a run of STUDY would do: points, realisations, tasks, memory, time, what is done already.
+    """Say what a run of STUDY would do: points, realisations, blocks, memory, time, what is done already.
 
     \b
     sweep plan grid --set n_cat=100
@@ -338,10 +338,7 @@ def plan(
     if "realisations" in report:
         done = report["realisations"] - report["realisations_pending"]
         lines += [("realisations", f"{report['realisations']:,}, {done:,} of them done")]
-    tasks = f" in about {counted(report['tasks_about'], 'task')}" if report["tasks_about"] else ""
-    lines += [("work", f"{counted(report['blocks_pending'], 'block')}{tasks}")]
-    memory, result, ledger = (f"{report[f'{what}_mb']:,.3g} MB" for what in ("memory", "result", "ledger"))
-    lines += [("memory", f"{memory}: {result} of results, {ledger} of ledger")]
+    lines += [("work", counted(report["blocks_pending"], "block")), ("memory", f"{report['memory_mb']:,.3g} MB")]
     if "seconds" in report:
         cores = counted(report["cores"], "core")
         seconds = f"at least {in_words(report['seconds'])}" if report["seconds"] >= 1.0 else "less than a second"

@@ -99,9 +99,9 @@ def reproduce(study: Study, dataset: xr.Dataset, point: GridPoint) -> Reproducti
         return compute(replace(task, caught=False, repeatable=False))
 
     with threadpool_limits(1):  # as everywhere, since the last bits depend on it
-        result = _alone(as_recorded(study, dataset.attrs), point, raising)
-    if isinstance(result, str):
-        raise ResultError(result)
+        result, why = _alone(as_recorded(study, dataset.attrs), point, raising)
+    if why:
+        raise ResultError(why)
     stored = _at(dataset, Grid(study), point)
     status = Status(int(stored["status"]))
     differences = _differences(stored, result) if status == Status.DONE else None
@@ -124,23 +124,17 @@ def verify(study: Study, where: Where, number: int) -> Verified:
     done = np.intersect1d(np.flatnonzero(dataset["status"].values == Status.DONE), grid.indices())
     chosen = heapq.nsmallest(number, grid.points(done), key=lambda point: point.digest)
 
-    def computed(points: Sequence[GridPoint]) -> list[xr.Dataset | str]:
+    def computed(points: Sequence[GridPoint]) -> list[tuple[xr.Dataset, str]]:
         with Children(study.experiment_reference, forked=False) as child:  # a fork has the state of this process
             return [_alone(study, point, child.run) for point in points]
 
-    def are_alike(one: xr.Dataset | str, other: xr.Dataset | str) -> bool:
-        if isinstance(one, str) or isinstance(other, str):
-            return isinstance(one, str) and isinstance(other, str) and one == other
-        return not _differences(one, other, tolerance)
-
     differing: list[str] = []
     forward, backward = computed(chosen), computed(chosen[::-1])[::-1]
-    for point, *seen in zip(chosen, forward, backward, strict=True):
+    for point, *both in zip(chosen, forward, backward, strict=True):
         stored = _at(dataset, grid, point)
-        if all(are_alike(stored, other) for other in seen):
-            continue
-        failed = next((f"; computed again it fails: {one}" for one in seen if isinstance(one, str)), "")
-        differing.append(f"{describe(study, point.parameters)} has other results than in the store{failed}")
+        if any(_differences(stored, again, tolerance) for again, _ in both):  # of a point that fails, its status
+            failed = next((f"; computed again it fails: {why}" for _, why in both if why), "")
+            differing.append(f"{describe(study, point.parameters)} has other results than in the store{failed}")
     return Verified(len(chosen), differing, differences_of_code(records_of(opened.attributes), study))
 
 
@@ -149,8 +143,8 @@ def _at(dataset: xr.Dataset, grid: Grid, point: GridPoint) -> xr.Dataset:
     return dataset.isel(dict(zip(grid.dimensions, map(int, places), strict=True)))
 
 
-def _alone(study: Study, point: GridPoint, compute: Callable[[Task], TaskResult]) -> xr.Dataset | str:
-    """Return the dataset of a point in a session of its own, or why it failed."""
+def _alone(study: Study, point: GridPoint, compute: Callable[[Task], TaskResult]) -> tuple[xr.Dataset, str]:
+    """Return the dataset of a point in a session of its own, and why it failed, '' if it did not."""
     defaults = study.experiment.defaults()
     swept = {name: value for name, value in point.parameters.items() if is_other(value, defaults[name])}
     alone = replace(study, axes={}, zipped=(), points=None, fixed={**study.fixed, **swept}, published=None, part=None)
@@ -163,7 +157,7 @@ def _alone(study: Study, point: GridPoint, compute: Callable[[Task], TaskResult]
     with tempfile.TemporaryDirectory(prefix="linksweep-", ignore_cleanup_errors=True) as folder:
         session = Session.open(Grid(alone), located(Path(folder) / "point.zarr"))
         dataset, failures = session.compute(execute)
-        return next(iter(failures.values()), None) or dataset.to_xarray().drop_vars("wall_time").load()
+        return dataset.to_xarray().drop_vars("wall_time").load(), "".join(failures.values())
 
 
 def _differences(stored: xr.Dataset, again: xr.Dataset, tolerance: float = 0.0) -> Pairs:

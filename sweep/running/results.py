@@ -92,6 +92,11 @@ class Labelled:
         """Return the results without some variables."""
         return replace(self, data_vars={n: one for n, one in self.data_vars.items() if n not in names})
 
+    def map(self, function: Callable[[Variable], Variable]) -> "Labelled":
+        """Return the results with what a function makes of each array."""
+        data_vars, coords = ({n: function(one) for n, one in some.items()} for some in (self.data_vars, self.coords))
+        return Labelled(data_vars, coords, self.attrs)
+
     def isel(self, place: Mapping[str, int] | Mapping[str, slice]) -> "Labelled":
         """Return the part at an index along some dimensions, which these then lack, or at a slice."""
 
@@ -100,8 +105,7 @@ class Labelled:
             dims = tuple(dim for dim, at in zip(one.dims, index, strict=True) if isinstance(at, slice))
             return replace(one, dims=dims, data=np.asarray(one.data[index])) if {*place} & {*one.dims} else one
 
-        data_vars, coords = ({n: part(one) for n, one in some.items()} for some in (self.data_vars, self.coords))
-        return Labelled(data_vars, coords, self.attrs)
+        return self.map(part)
 
     def to_xarray(self) -> "xr.Dataset":
         """Return the dataset that xarray has of them."""
@@ -245,12 +249,8 @@ def masked(dataset: Labelled) -> Labelled:
     """Return a dataset as who opens its store has it: integers of which some are missing have NaN there, and nothing is
     of points that are not done.
     """
-    dataset = finished(dataset)
-    data_vars, coords = (
-        {n: v.copy(with_gaps(v.values, v.encoding[FILL])) if FILL in v.encoding else v for n, v in some.items()}
-        for some in (dataset.data_vars, dataset.coords)
-    )
-    return replace(dataset, data_vars=data_vars, coords=coords)
+    done: Labelled = finished(dataset)
+    return done.map(lambda one: one.copy(with_gaps(one.values, one.encoding[FILL])) if FILL in one.encoding else one)
 
 
 def assemble_samples(plan: Plan, status: NDArray[np.int8], samples: Callable[[bytes], Array]) -> dict[str, Variable]:

@@ -386,7 +386,6 @@ class Writer:
         self._steady = store.next_row
         self._lock = RLock()  # of the store
         self._problem: Exception | None = None
-        self._rescued: str | None = None
         self._ended = Event()
 
     def __enter__(self) -> "Writer":
@@ -537,12 +536,11 @@ class Writer:
             lost = self.store.lost()
         if not lost:
             return
-        if self._rescued is None:
-            left = replace(assemble(self.plan, self.accumulator, place), attrs=made_by() | self._attributes())
-            with self._postponed(), self._lock:
-                self._rescued = str(self.store.rescue(left, lost))
+        left = replace(assemble(self.plan, self.accumulator, place), attrs=made_by() | self._attributes())
+        with self._postponed(), self._lock:
+            rescued = self.store.rescue(left, lost)
         more = f" and {len(lost) - 1:,} more files" if len(lost) > 1 else ""
-        sentence = f"{lost[0]}{more} of it went during the run; the results so far are in {self._rescued}"
+        sentence = f"{lost[0]}{more} of it went during the run; the results so far are in {rescued}"
         raise SweepError([*problems, sentence], str(place))
 
     def stop(self) -> None:
@@ -833,30 +831,23 @@ def plan_report(study: Study, store: Where, workers: int | None = None, accept_c
     default), from a short timing of random numbers on this machine.
     """
     plan, survey = plan_study(study, store, accept_code)
-    grid = plan.grid
-    floats = len(grid) * sum(study.experiment.size_of(output) for output in study.experiment.outputs)
-    samples = study.experiment.samples_width * survey.total.realisations if study.keeps_samples else 0
-    result_mb = 8e-6 * (floats + samples)
-    ledger_mb = 1e-6 * study.experiment.reducer.dtype.itemsize * survey.total.blocks + 8e-6 * samples
-    tasks = math.ceil(survey.pending.cost / TARGET) if study.experiment.cost_unit else None  # else time is not known
-    most = survey.pending.blocks if tasks is None else tasks
-    cores = max(1, min(workers or available_cores(), available_cores(), most))
-    realisations = {"realisations": survey.total.realisations, "realisations_pending": survey.pending.realisations}
-    seconds = round(survey.pending.cost / (_normals_per_second() * cores), 1) if study.experiment.cost_unit else None
+    grid, experiment, pending = plan.grid, study.experiment, survey.pending
+    floats = len(grid) * sum(map(experiment.size_of, experiment.outputs))
+    samples = experiment.samples_width * survey.total.realisations if study.keeps_samples else 0
+    row = experiment.reducer.dtype.itemsize
+    cores = max(1, min(workers or available_cores(), available_cores(), math.ceil(pending.cost / TARGET)))
+    realisations = {"realisations": survey.total.realisations, "realisations_pending": pending.realisations}
+    time_left = {"seconds": round(pending.cost / (_normals_per_second() * cores), 1), "cores": cores}
     return {
         "title": study.title,
         "grid": " x ".join(f"{name} {n}" for name, n in zip(grid.dimensions, grid.shape, strict=True)) or "one point",
         "points": survey.total.points,
-        "points_done": survey.total.points - survey.pending.points - survey.failed,
+        "points_done": survey.total.points - pending.points - survey.failed,
         "points_failed": survey.failed,
-        **({} if study.experiment.deterministic else realisations),
-        "blocks_pending": survey.pending.blocks,
-        "tasks_about": tasks,
-        "result_mb": round(result_mb, 3),
-        "ledger_mb": round(ledger_mb, 3),
-        "memory_mb": round(result_mb + ledger_mb, 3),
-        **({} if seconds is None else {"seconds": seconds}),
-        "cores": cores,
+        **({} if experiment.deterministic else realisations),
+        "blocks_pending": pending.blocks,
+        "memory_mb": round(8e-6 * (floats + 2 * samples) + 1e-6 * row * survey.total.blocks, 3),
+        **(time_left if experiment.cost_unit else {}),  # else the time is not known
         "store": str(store),
         "warnings": list(grid.warnings),
     }

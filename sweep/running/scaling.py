@@ -1,12 +1,10 @@
 """Measures how a study scales with workers: the same work on more of them (strong), as much for each (weak)."""
 
-import os
 import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 import xarray as xr
@@ -24,7 +22,6 @@ from linksweep.sweep.studies.study import Study
 KINDS = ("strong", "weak")
 # Variance of a median over that of a mean, of many normal numbers (of five: 1.43).
 MEDIAN_OVER_MEAN = np.pi / 2.0
-Grown = Literal["n_sim", "n_cat"]
 
 
 @dataclass
@@ -58,8 +55,12 @@ def measure_scaling(
     Raises SweepError for workers that are not distinct or do not begin with one, for a study with a precision, and
     where a point fails.
     """
-    _check(study, workers)
-    grown: Grown = "n_cat" if study.sampling.n_cat > 1 else "n_sim"
+    if list(workers) != sorted(set(workers)) or workers[0] != 1 or workers[-1] > MOST_WORKERS:
+        listed = ",".join(map(str, workers))
+        raise SweepError(f"workers = {listed}: must increase from 1, with which all is compared, to <= {MOST_WORKERS}")
+    if study.sampling.precision is not None:
+        raise SweepError("a study with a precision decides itself how much it computes; leave it out", study.source)
+    grown = "n_cat" if study.sampling.n_cat > 1 else "n_sim"
     kinds = KINDS[:1] if study.experiment.deterministic else KINDS
     timed = np.empty((len(kinds), len(workers), repetitions, 2))
     _timed(_with(study, "n_sim", 1), 1, pool)  # the first run of all also reads what is not in memory yet
@@ -82,22 +83,10 @@ def measure_scaling(
         weak_scaling_grows=grown,
         repetitions=repetitions,
         cores=available_cores(),
-        load_average=os.getloadavg()[0] if hasattr(os, "getloadavg") else float("nan"),
     )
 
 
-def _check(study: Study, workers: Sequence[int]) -> None:
-    problems = []
-    if list(workers) != sorted(set(workers)) or workers[0] != 1 or workers[-1] > MOST_WORKERS:
-        listed = ",".join(map(str, workers))
-        problems.append(f"workers = {listed}: must increase from 1, with which all is compared, to <= {MOST_WORKERS}")
-    if study.sampling.precision is not None:
-        problems.append("a study with a precision decides itself how much it computes; leave `precision` out")
-    if problems:
-        raise SweepError(problems, study.source)
-
-
-def _with(study: Study, name: Grown, value: int) -> Study:
+def _with(study: Study, name: str, value: int) -> Study:
     return replace(study, sampling=study.sampling.model_copy(update={name: value}))
 
 
