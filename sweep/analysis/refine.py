@@ -17,7 +17,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from linksweep.sweep.analysis import laws, quantity
-from linksweep.sweep.contract import Status, SweepError, Value, suggest
+from linksweep.sweep.contract import Status, SweepError, Value, is_number, suggest
 from linksweep.sweep.formatting import counted
 from linksweep.sweep.planning.grid import NO_EFFECT, Grid, make_grid
 from linksweep.sweep.planning.union import REFINED, Round, point_at, refined, rounds_of
@@ -25,7 +25,7 @@ from linksweep.sweep.running.run import find_store, open_store, with_stored
 from linksweep.sweep.stores.location import Where, locked
 from linksweep.sweep.stores.store import OpenStore
 from linksweep.sweep.studies.points import NEAR, are_near
-from linksweep.sweep.studies.study import Study, is_number
+from linksweep.sweep.studies.study import Study
 
 SHARE = 0.2  # of the realisations of the full grid: where so many are spent points get no more, unless the user says so
 LARGEST_FACTOR = 16  # a point gets at most so many times its realisations in a round: its error is an estimate, too

@@ -153,13 +153,6 @@ def is_quantity(value: object) -> bool:
     return hasattr(value, "unit") and hasattr(value, "to_value")
 
 
-def quantity_of(number: Any, unit: str) -> Any:
-    """Return a quantity of astropy."""
-    from astropy.units import Quantity
-
-    return Quantity(number, unit)
-
-
 @lru_cache(maxsize=256)
 def factor_between(one: str, other: str) -> float | None:
     """Return the factor that converts numbers from one unit to another; None for units of different kinds."""
@@ -238,6 +231,18 @@ def bound_in_words(raw: object) -> str:
     """
     is_huge = isinstance(raw, (int, float)) and HUGE <= abs(raw) < np.inf
     return f", below {HUGE:g} in size" if is_huge else ""
+
+
+def is_number(x: object) -> bool:
+    """Return whether x is a finite number that a study may contain."""
+    return isinstance(x, int | float) and not isinstance(x, bool) and abs(x) < HUGE
+
+
+def number_at(key: str, table: Mapping[str, Any]) -> Any:
+    """Return the number in a table of a study; raises ValueError where it is none, or not finite."""
+    if not is_number(table[key]):
+        raise ValueError(f"{key} = {shown(table[key])}: must be a finite number{bound_in_words(table[key])}")
+    return table[key]
 
 
 def _is_finite(value: object) -> bool:
@@ -404,25 +409,23 @@ class Parameter:
         kind, known = self.kind, self._known()
         if kind != "file" and isinstance(raw, str) and raw != raw.encode(errors="ignore").decode():
             raise ValueError(f"{self.name} = {raw!a} has a lone surrogate: no file can hold it")
-        if kind == "str" and isinstance(raw, str) and (not self.choices or raw in known):
+        is_truth = isinstance(raw, bool)
+        if self.choices:
+            like = [one for one in known if isinstance(one, bool) == is_truth and one == raw]
+            if not isinstance(raw, int | float | str) or not like:
+                raise self._refused(raw, nearest(raw, known) if kind == "str" and isinstance(raw, str) else "")
+            raw = like[0]  # 2.0 is the choice 2
+        if kind == "str" and isinstance(raw, str):
             return next((named for named in self.defined if named.name == raw), raw)
-        is_plain = isinstance(raw, int | float | str)
-        like = [one for one in known if is_plain and one == raw and (type(one) is bool) == (type(raw) is bool)]
-        if kind == "str" or (self.choices and not like):
-            hint = nearest(raw, known) if isinstance(raw, str) and kind == "str" else ""
-            raise self._refused(raw, hint)
-        raw = like[0] if like else raw  # 2.0 is the choice 2
-        if kind in ("float", "int"):
-            return self._number(raw)
-        if kind == "any" and isinstance(raw, int | float) and not isinstance(raw, bool):
-            return self._number(raw, whole=isinstance(raw, int))
+        if kind in ("float", "int") or (kind == "any" and isinstance(raw, int | float) and not is_truth):
+            return self._number(raw, whole=kind == "int" or (kind == "any" and isinstance(raw, int)))
         allowed = {"any": str | bool, "bool": bool, "file": str}
         if kind in allowed and isinstance(raw, allowed[kind]):
             return raw
         if kind in ("map", "files") and isinstance(raw, dict) and all(isinstance(text, str) for text in raw.values()):
             return tuple(sorted(raw.items()))
         if kind == "vector" and isinstance(raw, list | tuple) and len(raw) == 3:
-            return tuple(self._number(x) for x in raw)
+            return tuple(self._number(x, whole=False) for x in raw)
         raise self._refused(raw)
 
     def written(self, value: Value) -> Any:
@@ -438,10 +441,9 @@ class Parameter:
         is_itself = is_list or (not _is_finite(value.value) and value.name == repr(value.value))
         return value.name if self.kind == "str" else value.value if is_itself else {LABEL: value.name}
 
-    def _number(self, raw: Any, whole: bool | None = None) -> Value:
-        whole = self.kind == "int" if whole is None else whole
+    def _number(self, raw: Any, whole: bool) -> Value:
         is_beyond = not (self.finite or whole or _is_finite(raw))
-        if is_beyond or (isinstance(raw, int | float) and not isinstance(raw, bool) and abs(raw) < HUGE):
+        if is_beyond or is_number(raw):
             if whole and abs(raw) > LARGEST_INT:
                 raise self._refused(raw, ", below 2**63 in size")
             number = float(raw) + 0.0  # no negative zero: it would be another point
@@ -519,10 +521,6 @@ def name_problem(name: object) -> str | None:
     return TAKEN if name in RESERVED else None
 
 
-# Endings that the platform adds to an output's name, for variables of its own.
-ADDED = ("_published", "_published_rounding")
-
-
 def names_problems(
     parameters: Sequence[str],
     names: Sequence[tuple[str, Any]],
@@ -534,22 +532,20 @@ def names_problems(
     Each of ``names`` stands behind "output" or "dimension".  Dimensions ``with_units`` have a coordinate of these, and
     outputs may have the names of parameters that ``may_repeat``.
     """
-    added = {f"{name}_unit": f"the unit of each {name}" for name in with_units}
-    added |= {
-        f"{name}{end}": f"what is published of {name}" for kind, name in names if kind == "output" for end in ADDED
-    }
-    first: list[tuple[str, Any]] = []
+    meant = {f"{name}_unit": f"the unit of each {name}" for name in with_units}
+    for name in (name for kind, name in names if kind == "output"):
+        meant |= dict.fromkeys((f"{name}_published", f"{name}_published_rounding"), f"what is published of {name}")
+    first: dict[str, str] = {}
     for kind, name in [*(("parameter", name) for name in parameters), *names]:
-        others = [other for other, one in first if one == name]
         if wrong := name_problem(name):
             yield f"{kind} {shown(name)}: {wrong}"
         elif kind != "parameter" and name == "point":  # the dimension of tables of points
             yield f"{kind} {name!r}: {TAKEN}"
-        elif name in added:
-            yield f"{kind} {name!r}: this name is for {added[name]}; take another"
-        elif others and not (name in may_repeat and (others[0], kind) == ("parameter", "output")):
-            yield f"{kind} {name!r}: is the name of another {others[0]}"
-        first.append((kind, name))
+        elif name in meant:
+            yield f"{kind} {name!r}: this name is for {meant[name]}; take another"
+        elif name in first and not (name in may_repeat and (first[name], kind) == ("parameter", "output")):
+            yield f"{kind} {name!r}: is the name of another {first[name]}"
+        first.setdefault(str(name), kind)
 
 
 def members(what: str, values: object, kind: type[T], problems: list[str]) -> list[T]:

@@ -26,20 +26,20 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from linksweep.sweep.code import Code, reach_of
-from linksweep.sweep.contract import Array, Experiment, Named, Parameter, SweepError, Value, nearest, shown, suggest
+from linksweep.sweep.contract import Experiment, Named, Parameter, SweepError, Value, nearest, number_at, shown, suggest
 from linksweep.sweep.contract.experiment import (
     LABEL,
     factor_between,
     is_quantity,
     name_problem,
     needed,
-    quantity_of,
     refused,
     rescaled,
 )
+from linksweep.sweep.contract.rows import Array
 from linksweep.sweep.formatting import first_of, is_missing
 from linksweep.sweep.functions.results import unit_of
-from linksweep.sweep.studies.study import POINT, Form, PointsForm, PointTable, Sampling, number_at
+from linksweep.sweep.studies.study import POINT, Form, PointsForm, PointTable, Sampling
 from linksweep.sweep.tables import options
 from linksweep.sweep.tables.columns import content_digest, rows_listed, table_file
 from linksweep.sweep.tables.reader import BRACKETS, is_parquet, lists_in, read_table
@@ -238,7 +238,9 @@ def in_unit(cells: list[Any], theirs: str, parameter: Parameter) -> list[Any]:
     """
     unit = parameter.unit
     if parameter.kind == "object":
-        return [cell if cell is None or isinstance(cell, str) else quantity_of(cell, theirs) for cell in cells]
+        from astropy.units import Quantity
+
+        return [cell if cell is None or isinstance(cell, str) else Quantity(cell, theirs) for cell in cells]
     factor = factor_between(theirs, unit)
     if factor is None or (factor != 1.0 and not set(map(type, cells)) <= {int, float, str, bool, type(None)}):
         words = f"is in {unit}" if unit else "has no unit; give numbers, declare its unit, or annotate it with Quantity"

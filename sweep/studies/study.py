@@ -15,7 +15,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, ValidationInfo, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
-from linksweep.sweep.contract import HUGE, Experiment, Named, Parameter, Value, bound_in_words, nearest, shown, suggest
+from linksweep.sweep.contract import Experiment, Named, Parameter, Value, is_number, nearest, number_at, shown, suggest
 from linksweep.sweep.formatting import ESCAPED, first_of
 from linksweep.sweep.tables.columns import content_digest
 
@@ -86,18 +86,6 @@ def _each(check: Callable[[str, Any, Context], Any]) -> AfterValidator:
         return entries
 
     return _checked(check_all)
-
-
-def is_number(x: object) -> bool:
-    """Return whether x is a finite number that a study may contain."""
-    return isinstance(x, (int, float)) and not isinstance(x, bool) and abs(x) < HUGE
-
-
-def number_at(key: str, table: Mapping[str, Any]) -> Any:
-    """Return the number in a table of a study; raises ValueError where it is none, or not finite."""
-    if not is_number(table[key]):
-        raise ValueError(f"{key} = {shown(table[key])}: must be a finite number{bound_in_words(table[key])}")
-    return table[key]
 
 
 def printed_rounding(text: str) -> float:
