@@ -102,7 +102,7 @@ def lost_integers(rows: Rows, dtype: np.dtype[np.void]) -> dict[int, str]:
             whole = rows[name].reshape(len(rows), -1)
             for row in np.flatnonzero(_beyond(whole).any(axis=1)).tolist():
                 number = beyond_floats(whole[row])
-                lost[row] = f"{name!r} is {number}, which is beyond 2**53, and other points have floats"
+                lost[row] = f"{name!r} is {number}, which is beyond 2**53, and no float holds it"
     return lost
 
 

@@ -244,10 +244,8 @@ def _kind(annotation: Any) -> tuple[Kind | None, tuple[Any, ...]]:
 
 def declaration_of(function: Callable[..., Any]) -> experiment:
     """Return what a function declares, nothing by default."""
-    while not hasattr(function, ATTRIBUTE) and hasattr(function, "func"):  # a partial
-        function = function.func
-    declaration = getattr(function, ATTRIBUTE, None)
-    return declaration if isinstance(declaration, experiment) else experiment()
+    declared = (getattr(one, ATTRIBUTE, None) for one in (function, _wrapped(function)))
+    return next((one for one in declared if isinstance(one, experiment)), experiment())
 
 
 def _checked(function: Callable[..., Any], declaration: experiment) -> "FunctionExperiment":
@@ -304,10 +302,8 @@ def _problems_of_outputs(outputs: Sequence[Output], made: "FunctionExperiment") 
             texts.append("statistics are made of realisations, and the function takes no rng")
         if output.ragged and made.rng:
             texts.append("ragged: statistics of realisations need one length at all points")
-        elif output.ragged is True and len(dims) > 1:
-            texts.append(f"ragged = True: say along which of its dimensions, such as ragged={dims[-1]!r}")
-        elif output.ragged not in (False, True, *dims):
-            texts.append(f"ragged = {shown(output.ragged)}: must be True, or one of its dims ({', '.join(dims)})")
+        elif output.ragged not in (False, len(dims) < 2, *dims):
+            texts.append(f"ragged = {shown(output.ragged)}: must be one of its dims ({', '.join(dims)})")
         elif output.ragged in coords or (output.ragged is True and coords):
             texts.append("ragged: values along such a dimension are numbered; return its coordinate as another output")
         if not all(isinstance(dim, str) for dim in dims) or len(set(dims)) < len(dims):
@@ -333,23 +329,23 @@ def _problems_of_outputs(outputs: Sequence[Output], made: "FunctionExperiment") 
 class Typed(Reducer):
     """The reducer of results that are there after one call: a row has each of them as itself."""
 
-    layout: results.Layout | None
+    layout: results.Layout
 
-    @functools.cached_property
+    @property
     def dtype(self) -> np.dtype[np.void]:
         """The type of a row; without fields before there is a first result."""
-        return np.dtype([]) if self.layout is None else self.layout.dtype
+        return self.layout.dtype
 
     def finish(self, total: Rows, n: Array, n_cat: Array) -> dict[str, NDArray[Any]]:
         """Return the results."""
-        return {name: total[name] for name in self.dtype.names or ()}
+        return {field.name: total[field.name] for field in self.layout.fields}
 
 
 @dataclass(frozen=True)
 class FunctionExperiment(Experiment):
     """A plain function as an experiment.
 
-    ``declared`` are its outputs as it declares them; ``layout`` describes its results, None before the first.  ``rng``
+    ``declared`` are its outputs as it declares them; ``layout`` describes its results.  ``rng``
     says whether it takes a generator; without one it is evaluated once at each point.  ``keeps_all`` says whether all
     realisations are kept.  An experiment that is made from the record in a store has no function to ``call`` and
     computes nothing.
@@ -362,7 +358,7 @@ class FunctionExperiment(Experiment):
     tolerance: float = ROUNDING
     repeatable: bool = False
     takes_n_sim: bool = False
-    layout: results.Layout | None = None
+    layout: results.Layout = results.UNKNOWN
     keeps_all: bool = False
 
     def __post_init__(self) -> None:
@@ -397,7 +393,7 @@ class FunctionExperiment(Experiment):
     @functools.cached_property
     def reducer(self) -> Reducer:
         """What a call, or a block of realisations, leaves of a point."""
-        if self.rng and self.layout is not None:
+        if self.rng and self.layout.fields:
             return Moments(self.layout, self.declared, self.keeps_all)
         return Typed(self.layout)
 
@@ -411,8 +407,10 @@ class FunctionExperiment(Experiment):
         call, expected = self.call, self.expected
         # nothing where an argument has a default, and objects, of which None may be one, in place of labels
         optional = {one.name for one in self.parameters if one.optional or one.required}
-        points = [{k: v for k, v in point.items() if v is not None or k in optional} for point in points]
-        points = [{k: v.value if isinstance(v, Named) else v for k, v in point.items()} for point in points]
+        points = [
+            {k: v.value if isinstance(v, Named) else v for k, v in point.items() if v is not None or k in optional}
+            for point in points
+        ]
         assert call is not None, "the record of an experiment computes nothing"
         if self.vectorised:  # the caller sends many points only to such functions
             arguments = inspect.signature(call).parameters  # points at a default may be beside others
@@ -437,7 +435,7 @@ class FunctionExperiment(Experiment):
         layout, fitting, refused = self.layout, list[int](), dict[int, str]()
         verdicts: dict[int, str] = {}  # by layouts: those that come in one message are mostly one object
         for place, outcome in outcomes.items():
-            layout = layout or outcome.layout
+            layout = layout if layout.fields else outcome.layout
             if (key := id(outcome.layout)) not in verdicts:
                 # results with arrays come with a layout each: equal ones are told faster than they are hashed
                 wrong = () if outcome.layout == layout else results.layout_refusals(layout, outcome.layout)
@@ -449,14 +447,12 @@ class FunctionExperiment(Experiment):
                 refused[place] = f"{self.name}: not as at the first point: {verdicts[key]}"
             else:
                 fitting.append(place)
-        if layout is None:
-            return self, {}, refused
         known, rows = self if layout == self.layout else self.with_layout(layout), dict[int, Any]()
         for place in fitting:
             try:
-                rows[place] = outcomes[place].row if self.rng else results.as_row(outcomes[place], layout)
+                rows[place] = outcomes[place].row if self.rng else results.as_row(outcomes[place], layout, self.name)
             except rules.ResultError as error:
-                refused[place] = f"{self.name}: {error}"
+                refused[place] = str(error)
         return known, rows, refused
 
     def keeping_samples(self) -> "FunctionExperiment":
@@ -470,16 +466,15 @@ class FunctionExperiment(Experiment):
 
     def ragged(self) -> dict[str, str]:
         """Return the ragged dimension of each output that has one."""
-        return {} if self.layout is None else self.layout.ragged
+        return self.layout.ragged
 
     def dimension_coordinates(self) -> dict[str, tuple[Any, str, str]]:
         """Return the values along each dimension of results, their unit and their meaning."""
-        coordinates = () if self.layout is None else self.layout.coordinates
-        return {one.name: (one.array(), one.unit, one.meaning) for one in coordinates}
+        return {one.name: (one.array(), one.unit, one.meaning) for one in self.layout.coordinates}
 
     def large(self) -> dict[str, np.dtype[Any]]:
         """Return the types of large results."""
-        return {} if self.layout is None else self.layout.large
+        return self.layout.large
 
     def nan_outputs(self) -> list[str]:
         """Return all outputs: results have been checked when the function returned them."""
@@ -487,13 +482,13 @@ class FunctionExperiment(Experiment):
 
     def errors_of_headline(self) -> list[tuple[str, str]]:
         """Return the headline outputs that have a Monte-Carlo error, and its name."""
-        if self.layout is None and self.rng:
+        if self.undeclared and self.rng:
             return [("results", "results_mc_error")]  # mean and the like always have one
         return super().errors_of_headline()
 
     def as_record(self) -> dict[str, Any]:
         """Return what a store records of a plain function besides what it records of every experiment."""
-        layout = None if self.layout is None else results.json_of_layout(self.layout)
+        layout = results.json_of_layout(self.layout) if self.layout.fields else None
         outputs = [asdict(replace(output, coords=None)) for output in self.declared]
         return {"function": {"rng": self.rng, "layout": layout, "outputs": outputs}}
 

@@ -73,7 +73,7 @@ class Layout:
     dimensions.
     """
 
-    fields: tuple[Field, ...]
+    fields: tuple[Field, ...] = ()
     coordinates: tuple[Coordinate, ...] = ()
     drawn: bool = False
 
@@ -117,6 +117,10 @@ class Layout:
         names = {output.name for output in declared if output.headline}
         names = names or {field.name for field in self.fields if not field.dims}
         return names or {field.name for field in self.fields}
+
+
+# The layout before the first result.
+UNKNOWN = Layout()
 
 
 def json_of_layout(layout: Layout) -> dict[str, Any]:
@@ -196,11 +200,11 @@ def joined(one: Layout, other: Layout) -> Layout:
     return replace(layout, coordinates=tuple(longer))
 
 
-def as_row(outcome: Outcome, expected: Layout) -> Any:
+def as_row(outcome: Outcome, expected: Layout, function: str) -> Any:
     """Return the fields of a result that has no `differences` in the order, with the floats and the lengths, of a
     layout.
 
-    Raises ResultError where an integer is too large to be a float.
+    Raises ResultError of a function where an integer is too large to be a float.
     """
     layout: Layout = outcome.layout
     if layout == expected and not layout.ragged:
@@ -209,7 +213,7 @@ def as_row(outcome: Outcome, expected: Layout) -> Any:
     for field in expected.fields:
         kind, value = values[field.name]
         if field.type == "float" and kind == "int" and (large := beyond_floats(value)) is not None:
-            raise ResultError(f"{field.name!r} is {large}, which is beyond 2**53, and other points have floats")
+            raise ResultError(f"{function}: {field.name!r} is {large}, which is beyond 2**53, and no float holds it")
     return tuple(
         padded(values[field.name][1], expected.shape(field)) if field.name in expected.ragged else values[field.name][1]
         for field in expected.fields

@@ -92,10 +92,12 @@ def moments_of(values: Array) -> Array:
     return np.stack([mean, *powers, values.min(axis=0), values.max(axis=0)])
 
 
-def merged(one: Array, n_one: float, other: Array, n_other: float) -> Array:
-    """Return the moments of two sets of realisations together, each (MOMENTS, size)."""
+def merged(one: Array, n_one: Array, other: Array, n_other: Array) -> Array:
+    """Return the moments of two sets of realisations together, each (points, MOMENTS, size), of so many (points,)."""
+    n_one, n_other = n_one[:, None], n_other[:, None]
     n = n_one + n_other
-    (mean_a, m2_a, m3_a, m4_a, low_a, high_a), (mean_b, m2_b, m3_b, m4_b, low_b, high_b) = one, other
+    mean_a, m2_a, m3_a, m4_a, low_a, high_a = one.swapaxes(0, 1)
+    mean_b, m2_b, m3_b, m4_b, low_b, high_b = other.swapaxes(0, 1)
     shift = mean_b - mean_a
     a, b = n_one / n, n_other / n
     mean = mean_a + shift * b  # not the mean of sums: it stays exact far from zero
@@ -103,7 +105,7 @@ def merged(one: Array, n_one: float, other: Array, n_other: float) -> Array:
     m3 = m3_a + m3_b + shift**3 * n_one * b * (a - b) + 3.0 * shift * (a * m2_b - b * m2_a)
     m4 = m4_a + m4_b + shift**4 * n_one * b * (a * a - a * b + b * b)
     m4 = m4 + 6.0 * shift**2 * (a * a * m2_b + b * b * m2_a) + 4.0 * shift * (a * m3_b - b * m3_a)
-    return np.stack([mean, m2, m3, m4, np.minimum(low_a, low_b), np.maximum(high_a, high_b)])
+    return np.stack([mean, m2, m3, m4, np.minimum(low_a, low_b), np.maximum(high_a, high_b)], axis=1)
 
 
 def statistic(name: str, field: Field, moments: Array, n: Array) -> tuple[Array, Array | None]:
@@ -275,11 +277,9 @@ class Moments(Reducer):
             return block
         joined = block.copy()
         joined["n"] = total["n"] + block["n"]
-        for field in self.layout.fields:
-            for row in range(len(total)):
-                mine, theirs = (rows["moments"][field.name][row] for rows in (total, block))
-                both = merged(mine, float(total["n"][row]), theirs, float(block["n"][row]))
-                joined["moments"][field.name][row] = both
+        for name in self.statistics:
+            mine, theirs = (rows["moments"][name] for rows in (total, block))
+            joined["moments"][name] = merged(mine, total["n"], theirs, block["n"])
         return joined
 
     def close(self, total: Rows, samples: Array) -> Rows:
@@ -321,15 +321,12 @@ class Moments(Reducer):
         results: dict[str, NDArray[Any]] = {}
         for field in self.layout.fields:
             shape = (len(total), *self.layout.shape(field))
-            moments, quantile = total["moments"][field.name], 0
             for name in self.statistics[field.name]:
-                value: Array
-                error: Array | None
-                if quantile_of(name) is not None:
-                    both = total["quantiles"][field.name][:, quantile]
-                    value, error, quantile = both[:, 0], both[:, 1], quantile + 1
+                if (level := quantile_of(name)) is None:
+                    value, error = statistic(name, field, total["moments"][field.name], total["n"])
                 else:
-                    value, error = statistic(name, field, moments, total["n"])
+                    place = self.levels(field).index(level)
+                    value, error = total["quantiles"][field.name][:, place].swapaxes(0, 1)
                 results[f"{field.name}_{name}"] = value.reshape(shape)
                 if error is not None:
                     results[f"{field.name}_{name}_mc_error"] = error.reshape(shape)
@@ -352,11 +349,7 @@ def drawn(outcomes: Sequence[Outcome], function: str, declared: tuple[Output, ..
     for outcome in outcomes:
         if wrong := layout_differences(layout, outcome.layout):
             raise ResultError(f"{function}: one realisation differs from another: {'; '.join(wrong)}")
-        try:
-            rows.append(as_row(outcome, layout))
-        except ResultError as error:
-            beyond = "an integer beyond 2**53 is no number that statistics can be made of"
-            raise ResultError(f"{function}: {beyond}") from error
+        rows.append(as_row(outcome, layout, function))
     columns = zip(*rows, strict=True)
     values = [np.array(column, dtype=float).reshape(len(rows), -1) for column in columns]
     reducer = Moments(layout, declared, keeps_all)
