@@ -116,7 +116,7 @@ def _range_of(values: Array, unit: str) -> str:
 def _sentences(part: xr.Dataset, variable: str, unit: str, decided: str | None) -> Iterator[str]:
     """Yield sentences about a variable in a unit."""
     axes, components = quantity.axes_of(part), quantity.own_dimensions(part, variable)
-    array, error = part[variable].transpose(*axes, *components), quantity.standard_error(part, variable)
+    array = part[variable].transpose(*axes, *components)
     values = array.values.astype(float, copy=False)
     known = np.isfinite(values)
     if not known.any():
@@ -126,7 +126,7 @@ def _sentences(part: xr.Dataset, variable: str, unit: str, decided: str | None) 
         yield f"It is True at {int(values[known].sum()):,} of {formatting.counted(int(known.sum()), 'point')}."
         yield from filter(None, [decided])
         return
-    errors = np.zeros(values.shape) if error is None else error.transpose(*axes, *components).values
+    errors = quantity.sigmas(part, variable, [*axes, *components])
     yield _range(part, array, errors, unit)
     if components:
         return

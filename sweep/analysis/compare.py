@@ -10,9 +10,9 @@ from __future__ import annotations  # names of xarray, which is imported only wh
 import json
 import math
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import numpy as np
 
@@ -25,8 +25,6 @@ from linksweep.sweep.table_writer import Column, Table
 
 if TYPE_CHECKING:
     import xarray as xr
-
-    from linksweep.sweep.analysis import laws
 
 Verdict = Literal["reproduced", "within tolerance", "NOT reproduced", "not comparable", "incomplete"]
 VERDICTS: tuple[Verdict, ...] = get_args(Verdict)
@@ -53,10 +51,6 @@ class Measured:
     broken: str = ""
 
 
-# The index of a point, and our number there.
-At = tuple[dict[str, int], Measured]
-
-
 def in_words(derived: Slope | Ratio | Reading) -> str:
     """Return how the quantity of a claim is derived."""
     name = derived.variable + ("" if derived.component is None else f"[{derived.component}]")
@@ -80,33 +74,16 @@ def measure(dataset: xr.Dataset, claim: Derived, derived: Slope | Ratio | Readin
     """Return our number at every place that a claim is about, but where the study has no point unless that is all;
     raises OutsideGridError for a place that is not in the grid.
     """
-    everywhere = list(_measured(dataset, claim, derived))
-    return [one for one in everywhere if one.missing != quantity.EXCLUDED] or everywhere
-
-
-def _measured(dataset: xr.Dataset, claim: Derived, derived: Slope | Ratio | Reading) -> Iterator[Measured]:
     name = derived.variable
     part, problem = _part_with(dataset, name, derived.component)
     if problem:
-        yield Measured(claim.where, missing=problem)
-    elif isinstance(derived, Slope):
-        from linksweep.sweep.analysis import laws  # of the three only this is fitted
-
-        fixed, axis = _fixed(dataset, claim.where), dataset.coords.get(derived.over)
-        if axis is None or (axis.dims == (POINT,) and len(quantity.varied_parameters(dataset)) > 1):
-            raise quantity.OutsideGridError(f"{derived.over} is not an axis of this store")
-        along = laws.lines_of(part.isel(fixed), name, derived.over)
-        for line in along.lines:
-            yield _slope(line, quantity.place_at(dataset, fixed | dict(line.index)), derived.over, laws.power_law)
-    elif isinstance(derived, Ratio):
-        differing = {str(dataset[axis].dims[0]) for axis in derived.of if axis in dataset.coords}
-        pairs = (_values(part, name, _fixed(dataset, {**claim.where, **at})) for at in (derived.of, derived.to))
-        for one, other in zip(*pairs, strict=True):
-            where = quantity.place_at(dataset, {d: i for d, i in one[0].items() if d not in differing})
-            yield _ratio(part, name, where, one, other)
+        return [Measured(claim.where, missing=problem)]
+    if isinstance(derived, Slope):
+        everywhere = list(_slopes(part, name, derived.over, _fixed(dataset, claim.where)))
     else:
-        for _, one in _values(part, name, _fixed(dataset, {**claim.where, **derived.at})):
-            yield one
+        ends = (derived.of, derived.to) if isinstance(derived, Ratio) else (derived.at,)
+        everywhere = list(_values(part, name, [_fixed(dataset, {**claim.where, **end}) for end in ends]))
+    return [one for one in everywhere if one.missing != quantity.EXCLUDED] or everywhere
 
 
 def _part_with(dataset: xr.Dataset, name: str, component: str | float | None = None) -> tuple[xr.Dataset, str]:
@@ -134,49 +111,47 @@ def _fixed(dataset: xr.Dataset, where: Mapping[str, Any]) -> dict[str, int]:
     return {dimension: hits[0] for dimension, hits in there.items()}
 
 
-def _values(dataset: xr.Dataset, name: str, fixed: Mapping[str, int]) -> Iterator[At]:
-    """Yield index and number of every point at which some axes are fixed."""
-    part = dataset.isel(fixed)
-    dims, error = part["status"].dims, quantity.standard_error(part, name)
-    error = part[name].copy(data=np.zeros(part[name].shape)) if error is None else error
-    columns = (one.transpose(*dims).values.reshape(-1).tolist() for one in (part["status"], part[name], error))
-    for place, status, value, sigma in zip(quantity.places_along(part, dims), *columns, strict=True):
-        index = {**fixed, **place}
-        where = quantity.place_at(dataset, index)
-        done = status == Status.DONE
-        yield index, Measured(where, value, sigma) if done else Measured(where, missing=_why({status}, "the point"))
+def _values(dataset: xr.Dataset, name: str, places: Sequence[dict[str, int]]) -> Iterator[Measured]:
+    """Yield the number at every point at which some axes are fixed; where they are at two places, that at the first
+    over that at the second.
+    """
+    parts = [dataset.isel(place) for place in places]
+    dims = parts[0][name].dims
+    numbers = parts[0][name].values, quantity.sigmas(parts[0], name, dims)
+    if len(places) == 2:
+        numbers = quantity.ratio_at(dataset, name, *places)
+    status = (part["status"].transpose(*dims).values for part in parts)
+    common = dict(set.intersection(*({*place.items()} for place in places)))
+    columns = (one.reshape(-1).tolist() for one in (*numbers, *status))
+    for along, value, error, *codes in zip(quantity.places_along(dataset, dims), *columns, strict=True):
+        where, done = quantity.place_at(dataset, common | along), {*codes} == {Status.DONE}
+        yield Measured(where, value, error) if done else Measured(where, missing=_why({*codes}, "the point"))
 
 
-def _ratio(dataset: xr.Dataset, name: str, where: Mapping[str, Any], one: At, other: At) -> Measured:
-    """Return the number at one point over that at another; its error includes their covariance."""
-    (place, top), (place_below, bottom) = one, other
-    if missing := top.missing or bottom.missing:
-        return Measured(where, missing=missing)
-    if bottom.value == 0.0 or not math.isfinite(top.value / bottom.value):
-        return Measured(where, broken="the ratio is not a finite number")
-    ratio = top.value / bottom.value
-    weights = 1.0 / bottom.value, -ratio / bottom.value
-    error = quantity.error_of_sum(dataset, name, place, place_below, weights)
-    return Measured(where, ratio, 0.0 if error is None else float(error))
-
-
-def _slope(line: laws.Line, where: Mapping[str, Any], over: str, fit: Callable[..., dict[str, Any]]) -> Measured:
-    """Return the slope along a line of points, by the ``fit`` of a power law; those that the study excludes do not
+def _slopes(dataset: xr.Dataset, name: str, over: str, fixed: dict[str, int]) -> Iterator[Measured]:
+    """Yield the slope along every line of points at which some axes are fixed; points that the study excludes do not
     belong to it.
     """
-    if undone := np.count_nonzero(line.status != Status.DONE):
-        some = f"{undone:,} of {len(line.x):,} points"
-        return Measured(where, missing=_why(set(line.status.tolist()) - {Status.DONE}, some))
-    if (n := len(line.x)) < 2:
-        few = f"a slope needs two values of {over}; this grid has {n}"
-        return Measured(where, missing=few if n else quantity.EXCLUDED)
-    if not (np.all(line.x > 0.0) and np.all(np.isfinite(line.y)) and np.all(line.y > 0.0)):
-        return Measured(where, broken="there are values that are not above 0, which have no power law")
-    try:
-        law = line.fitted(fit)
-    except ValueError as error:
-        return Measured(where, missing=str(error))
-    return Measured(where, law["exponent"], law["exponent_error"])
+    from linksweep.sweep.analysis import laws  # of the three only this is fitted
+
+    axis = dataset.coords.get(over)
+    if axis is None or (axis.dims == (POINT,) and len(quantity.varied_parameters(dataset)) > 1):
+        raise quantity.OutsideGridError(f"{over} is not an axis of this store")
+    for line in laws.lines_of(dataset.isel(fixed), name, over).lines:
+        where, n = quantity.place_at(dataset, fixed | dict(line.index)), len(line.x)
+        if undone := np.count_nonzero(line.status != Status.DONE):
+            yield Measured(where, missing=_why(set(line.status.tolist()), f"{undone:,} of {n:,} points"))
+        elif n < 2:
+            few = f"a slope needs two values of {over}; this grid has {n}"
+            yield Measured(where, missing=few if n else quantity.EXCLUDED)
+        elif not (np.all(line.x > 0.0) and np.all(np.isfinite(line.y)) and np.all(line.y > 0.0)):
+            yield Measured(where, broken="there are values that are not above 0, which have no power law")
+        else:
+            try:
+                law = line.fitted(laws.power_law)
+                yield Measured(where, law["exponent"], law["exponent_error"])
+            except ValueError as error:
+                yield Measured(where, missing=str(error))
 
 
 def _why(codes: set[int], subject: str) -> str:
@@ -231,19 +206,19 @@ def _published_numbers(dataset: xr.Dataset) -> Iterator[Comparison]:
         about = _about(dataset, name, name, unit, str(table.attrs["source"]))
         is_mean = quantity.standard_error(dataset, name) is not None
         is_count = dataset[name].dtype.kind in "iu" or not (is_mean or unit or FUNCTION in dataset.attrs)
-        rule = Rule(float(table.attrs.get("tolerance", 0.0)), str(table.attrs.get("tolerance_reason", "")))
+        rule = float(table.attrs.get("tolerance", 0.0)), str(table.attrs.get("tolerance_reason", ""))
         for index in np.argwhere(np.isfinite(table.values)):
             here = dict(zip(map(str, table.dims), map(int, index), strict=True))
             number, rounding = float(table[here]), float(dataset[f"{name}_published_rounding"][here])
-            ours = Measured({}, missing=problem) if problem else next(_values(dataset, name, here))[1]
+            ours = Measured({}, missing=problem) if problem else next(_values(dataset, name, [here]))
             is_exact = is_count and rounding == 0.5 and number.is_integer()
-            yield judged(about, ours, number, 0.0 if is_exact else rounding, Rule() if is_exact else rule)
+            yield judged(about, ours, number, 0.0) if is_exact else judged(about, ours, number, rounding, *rule)
         if table.attrs.get("outside_grid") and not np.isfinite(table.values).any():
-            yield judged(about, Measured({}, missing=_outside(table)), math.nan, math.nan, rule)
+            yield judged(about, Measured({}, missing=_outside(table)), math.nan, math.nan)
     for name in json.loads(dataset.attrs.get("published_not_compared", "[]")):
         source = json.loads(dataset.attrs["study_document"])["published"]["source"]
         ours = Measured({}, missing=_part_with(dataset, name)[1])
-        yield judged(_about(dataset, name, name, "", source), ours, math.nan, math.nan, Rule())
+        yield judged(_about(dataset, name, name, "", source), ours, math.nan, math.nan)
 
 
 def _outside(table: xr.DataArray) -> str:
@@ -262,8 +237,8 @@ def _claims(dataset: xr.Dataset) -> Iterator[Comparison]:
             measured = [Measured(claim.where, missing="; ".join(error.problems))]
         about = _about(dataset, claim.text, in_words(derived), unit_of(dataset, derived), claim.source)
         number, rounding = float(claim.published), 0.0 if claim.exact else printed_rounding(claim.published)
-        texts = claim.tolerance_reason or "", claim.null, claim.not_comparable or ""
-        yield from (judged(about, one, number, rounding, Rule(claim.tolerance or 0.0, *texts)) for one in measured)
+        rule = claim.tolerance or 0.0, claim.tolerance_reason or "", claim.null, claim.not_comparable or ""
+        yield from (judged(about, one, number, rounding, *rule) for one in measured)
 
 
 def _about(dataset: xr.Dataset, what: str, derived: str, unit: str, source: str) -> dict[str, str]:
@@ -271,20 +246,21 @@ def _about(dataset: xr.Dataset, what: str, derived: str, unit: str, source: str)
     return {"study": study, "what": what, "quantity": derived, "unit": unit, "source": source}
 
 
-class Rule(NamedTuple):
-    """How a number is judged: its relative ``tolerance``, with the reason for it; ``null``, the value expected without
-    the effect that the number shows, which a verdict must tell from it; and why there can be no verdict.
+def judged(
+    about: Mapping[str, Any],
+    ours: Measured,
+    number: float,
+    rounding: float,
+    tolerance: float = 0.0,
+    reason: str = "",
+    null: float | None = None,
+    not_comparable: str = "",
+) -> Comparison:
+    """Return the comparison of our number with a published one and its ``rounding``.
+
+    There may be a relative ``tolerance``, with the ``reason`` for it; ``null``, the value expected without the effect
+    that the number shows, which a verdict must tell from it; and why there can be no verdict.
     """
-
-    tolerance: float = 0.0
-    reason: str = ""
-    null: float | None = None
-    not_comparable: str = ""
-
-
-def judged(about: Mapping[str, Any], ours: Measured, number: float, rounding: float, rule: Rule) -> Comparison:
-    """Return the comparison of our number with a published one and its ``rounding``."""
-    tolerance, reason, null, not_comparable = rule
     # numbers agree only if a disagreement would have been found
     allowance, allowed = rounding + MC_ERRORS_ALLOWED * ours.error, tolerance * abs(number)
     detectable = allowance + allowed + FINDS * ours.error

@@ -371,19 +371,14 @@ def ratio(dataset: xr.Dataset, variable: str, axis: str, of: Any, to: Any) -> xr
         if len(hits) > 1:
             raise SweepError(f"{axis} = {value} is at {len(hits):,} points along {dimension}, and a ratio is of two")
         places.append({dimension: hits[0]})
-    parts = [dataset.isel(place) for place in places]
-    for part in parts:
-        quantity.require_done(part)
-    along = [name for name, coordinate in dataset.coords.items() if dataset[axis].dims[0] in coordinate.dims]
-    above, below = (quantity.numbers(part, variable).drop_vars(along, errors="ignore") for part in parts)
-    bottom = below.where(below != 0.0)
-    meaning = f"{variable} at {axis} = {of} over that at {axis} = {to}"
-    result = (above / bottom).rename("ratio").drop_attrs(deep=False).assign_attrs(described("", meaning)).to_dataset()
-    weights = (1.0 / bottom).values, (-result["ratio"] / bottom).values
-    error = quantity.error_of_sum(dataset, variable, places[0], places[1], weights)
-    if error is not None:
-        result["ratio_error"] = result["ratio"].dims, error, described("", "one-sigma error of ratio")
-    return result
+    for place in places:
+        quantity.require_done(dataset.isel(place))
+        quantity.numbers(dataset.isel(place), variable)
+    dims = [str(d) for d in dataset[variable].dims if d not in places[0]]
+    meanings = f"{variable} at {axis} = {of} over that at {axis} = {to}", "one-sigma error of ratio"
+    columns = zip(("ratio", "ratio_error"), quantity.ratio_at(dataset, variable, *places), meanings, strict=True)
+    values = {name: (dims, array, described("", meaning)) for name, array, meaning in columns}
+    return quantity.grid_of(dataset, dims).assign(values)
 
 
 def _fitted(made: Lines, fit: Callable[..., dict[str, Any]]) -> list[dict[str, Any]]:

@@ -134,6 +134,12 @@ def standard_error(dataset: xr.Dataset, variable: str) -> xr.DataArray | None:
     return parts[0].copy(data=np.where(is_known(values).any(axis=0), total, np.nan))
 
 
+def sigmas(dataset: xr.Dataset, variable: str, dims: Sequence[Hashable]) -> Array:
+    """Return the one-sigma error of each value of a variable, over its dimensions in this order; 0 if it is exact."""
+    error = standard_error(dataset, variable)
+    return np.zeros([dataset.sizes[d] for d in dims]) if error is None else error.transpose(*dims).values
+
+
 def errors_beside(dataset: xr.Dataset, variable: str) -> list[str]:
     """Return the variables that are declared as errors of a variable, each of another kind."""
     return [name for name in str(dataset[variable].attrs.get(ERRORS, "")).split() if name in dataset]
@@ -263,6 +269,21 @@ def error_of_sum(
     elif shares_random_numbers(dataset, differing):
         variance = np.nan * variance
     return np.asarray(np.sqrt(variance))
+
+
+@np.errstate(all="ignore")  # what is no number is no ratio
+def ratio_at(
+    dataset: xr.Dataset, variable: str, one: Mapping[str, int], other: Mapping[str, int]
+) -> tuple[Array, Array]:
+    """Return a variable at one index along dimensions over that at another, and the one-sigma error of this ratio, 0 if
+    it is exact; NaN where the denominator is 0.
+    """
+    dims = dataset.isel(one)[variable].dims
+    above, below = (dataset.isel(place)[variable].transpose(*dims).values.astype(float) for place in (one, other))
+    below = np.where(below == 0.0, np.nan, below)
+    ratio = above / below
+    error = error_of_sum(dataset, variable, one, other, (1.0 / below, -ratio / below))
+    return ratio, np.zeros(ratio.shape) if error is None else error
 
 
 # Axes and places
@@ -578,14 +599,12 @@ def exact(values: NDArray[Any]) -> NDArray[Any]:
     return values if values.dtype.kind in "biu" else values.astype(float, copy=False)
 
 
-def listed(
-    dataset: xr.Dataset, name: str | xr.DataArray, dimensions: Sequence[str], rows: Any = slice(None)
-) -> list[Any]:
-    """Return a variable, or an array of the same dataset, as Python objects, one for each combination along some
-    dimensions in C order, or for the ``rows`` among them: an array where the variable has further dimensions, as long
-    as it is at that place, NaN where an integer or a truth value is missing, times as texts.
+def listed(dataset: xr.Dataset, name: str, dimensions: Sequence[str], rows: Any = slice(None)) -> list[Any]:
+    """Return a variable as Python objects, one for each combination along some dimensions in C order, or for the
+    ``rows`` among them: an array where the variable has further dimensions, as long as it is at that place, NaN where
+    an integer or a truth value is missing, times as texts.
     """
-    variable = dataset[name] if isinstance(name, str) else name
+    variable = dataset[name]
     further = [str(d) for d in variable.dims if d not in dimensions]
     values = variable.transpose(*(d for d in dimensions if d in variable.dims), *further).values
     if is_truth(variable) and values.dtype.kind == "f":

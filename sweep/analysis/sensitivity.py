@@ -104,8 +104,7 @@ def sensitivity(dataset: xr.Dataset, output: str | None = None, seed: int = 0) -
     values = quantity.numbers(dataset, output).transpose(*others, *method.over).values
     if not np.isfinite(values).all():
         raise SweepError(f"{output} is not a finite number at {int(np.sum(~np.isfinite(values)))} points")
-    error = quantity.standard_error(dataset, output)
-    errors = np.zeros(values.shape) if error is None else error.transpose(*others, *method.over).values
+    errors = quantity.sigmas(dataset, output, [*others, *method.over])
     made = np.array([_estimated(method, values[i], errors[i]) for i in np.ndindex(values.shape[: len(others)])])
     index, sigma, *_ = indices = made.swapaxes(0, 1)  # (indices, places, parameters)
     points = math.prod(dataset.sizes[d] for d in method.over)

@@ -134,8 +134,7 @@ def _columns_of(dataset: xr.Dataset, columns: dict[str, Column], name: str, rows
     if name in quantity.array_outputs(dataset):
         yield replace(main, cells=list(map(_span, main.values)))
         return
-    error = quantity.standard_error(dataset, name)
-    errors = [0.0] * len(rows) if error is None else quantity.listed(dataset, error, quantity.axes_of(dataset), rows)
+    errors = quantity.sigmas(dataset, name, quantity.axes_of(dataset)).reshape(-1)[rows].tolist()
 
     def beside(heading: str, values: Sequence[Any], rank: int, to: Sequence[float]) -> Column:
         return Column(heading, values, list(map(formatting.rounded, values, to)), main.unit, rank=rank)

@@ -170,7 +170,7 @@ def test_a_claim_about_points_that_are_not_done_not_finite_or_not_there(tmp_path
     claims = [claim(published="1.0", ratio={"variable": "width", "of": {"model": "old"}, "to": {"model": "new"}})]
     found = compare(grid(value, 0.0, claims=claims, status=status))
     assert [c.verdict for c in found][:3] == ["incomplete", "NOT reproduced", "reproduced"]
-    assert found[1].reason == "the ratio is not a finite number"
+    assert found[1].reason == "the result is not a finite number"
     for keys, reason in (
         ({"slope": LAW | {"over": "m"}}, "m is not an axis of this store"),
         ({"slope": LAW, "where": {"colour": "red"}}, "'colour' is not an axis; known are model, n"),
