@@ -255,7 +255,7 @@ def _axes(dataset: xr.Dataset, dims: Sequence[str]) -> Iterator[dict[str, Any]]:
     for name in sorted(along, key=lambda n: (dataset[n].dims == (POINT,), n == POINT)):
         array = dataset[name]  # a dimension without a coordinate gives 0, 1, 2, ...
         numeric, ordered = array.dtype.kind in "iuf", array.dims[0] != POINT
-        texts = formatting.plain(quantity.listed(dataset, array, [str(array.dims[0])]))
+        texts = formatting.plain(quantity.listed(dataset, name, [str(array.dims[0])]))
         if numeric or ordered or name == POINT:
             yield {
                 "name": name,
