@@ -20,7 +20,6 @@ from dataclasses import dataclass, replace
 from multiprocessing import resource_tracker
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from threading import Event
 from typing import Annotated, Any
 
 import dask
@@ -400,9 +399,8 @@ MAX_ATTEMPTS = 6
 
 PAUSE_S = 0.25
 
-# Most tasks that are sent in one message, and most results that are fetched in one: with a message for each, the round
-# trip to a worker limited a run to 60 tasks a second.
-MOST_SENT, MOST_FETCHED = 32, 256
+# Most tasks that are sent in one message.
+MOST_SENT = 32
 
 # How often a block may be with a worker that dies: in a task, in a child process, and in one of its own.
 MAX_LOSSES = 3
@@ -485,13 +483,14 @@ def run_on_worker(task: Task | Call, expected: Identity, guarded: bool, memory_l
 class _Submission:
     """A job on its way to a worker: how often it was with a worker that died, and how often Dask failed with it.
 
-    ``succeeded`` counts the tasks of the run that had succeeded when this job was last lost.
+    ``succeeded`` counts the tasks of the run that had succeeded when this job was last lost; ``future`` is Dask's.
     """
 
     job: Any
     losses: int = 0
     troubles: int = 0
     succeeded: int = 0
+    future: "Future[Any] | None" = None
 
 
 class DaskDriver:
@@ -508,13 +507,13 @@ class DaskDriver:
         self._warned: set[str] = set()
         self._looked = self._had_workers = time.monotonic()
         self._waiting = False
-        self._in_flight: dict[Future[Any], _Submission] = {}
+        self._in_flight: dict[Fetching[Any], _Submission] = {}
 
     def cancel(self) -> None:
         """Take back the tasks whose results nobody will take: the client may be used for others."""
         if self._in_flight and self.client.status == "running":
             with suppress(OSError, TimeoutError):
-                self.client.cancel(list(self._in_flight))
+                self.client.cancel([one.future for one in self._in_flight.values()])
 
     def prepare(self) -> None:
         """Wait for a worker, bring the workers what they need, and compare them with the client.
@@ -528,10 +527,8 @@ class DaskDriver:
             if not in_this_process and (sources := sendable(self._reference)) is not None:
                 self.client.register_plugin(SourcesPlugin(sources))
             # Where there is no worker yet, an adaptive cluster starts one for this.
-            probe = self.client.submit(Identity.here, *arguments, pure=False)
-            ended = Event()
-            probe.add_done_callback(lambda _: ended.set())
-            while not ended.wait(LOOK_EVERY_S):
+            probe = self._fetch(self.client.submit(Identity.here, *arguments, pure=False))
+            while not wait([probe], LOOK_EVERY_S).done:
                 self._look(idle=True)
             answers = self.client.run(Identity.here, *arguments, on_error="return")
         except SweepError:
@@ -592,7 +589,7 @@ class DaskDriver:
     def __call__(self, take: Callable[[int], Sequence[AnyJob]]) -> Iterator[tuple[AnyJob, Any]]:
         """Compute everything that ``take`` gives; begin now, not when the first result is asked for."""
         self._take: Callable[[int], Sequence[Any]] = take
-        self._ended: SimpleQueue[Future[Any]] = SimpleQueue()
+        self._ended: SimpleQueue[Fetching[Any]] = SimpleQueue()
         self._succeeded = 0
         self._send_what_is_new()
         return self._results()
@@ -608,25 +605,30 @@ class DaskDriver:
     def _results(self) -> Iterator[tuple[Any, Any]]:
         """Yield each job with its result until there are no more."""
         while self._in_flight:
-            for future, fetched in self._arrived():
-                one = self._in_flight.pop(future)
-                try:
-                    answer = self._received(future, fetched)
-                except SweepError:
-                    raise
-                except KilledWorker as error:
-                    yield from self._lost(one, error)
-                except Exception as error:
-                    self._send([self._after_trouble(one, error)])
-                else:
-                    if answer.another is None:
-                        self._succeeded += 1
-                        yield one.job, answer.result
-                    else:  # in values that are known now to differ from process to process
-                        self._send([one])
-                if self._room() >= self._threads:
-                    self._send_what_is_new()
-            self._send_what_is_new()
+            fetching = None
+            with suppress(Empty):
+                fetching = self._ended.get(timeout=LOOK_EVERY_S)
+            if time.monotonic() - self._looked > LOOK_EVERY_S:
+                self._look(idle=fetching is None)
+            if fetching is None:
+                continue
+            one = self._in_flight.pop(fetching)
+            try:
+                answer = self._received(fetching)
+            except SweepError:
+                raise
+            except KilledWorker as error:
+                yield from self._lost(one, error)
+            except Exception as error:
+                self._send([self._after_trouble(one, error)])
+            else:
+                if answer.another is None:
+                    self._succeeded += 1
+                    yield one.job, answer.result
+                else:  # in values that are known now to differ from process to process
+                    self._send([one])
+            if self._ended.empty() or self._room() >= self._threads:
+                self._send_what_is_new()
 
     def _send(self, submissions: Sequence[_Submission]) -> None:
         """Send jobs in one message; all of them were with a worker that died equally often."""
@@ -644,8 +646,9 @@ class DaskDriver:
             pure=False,
         )
         for future, one in zip(futures, submissions, strict=True):
-            self._in_flight[future] = one
-            future.add_done_callback(self._ended.put)
+            fetching = self._fetch(future)
+            self._in_flight[fetching] = replace(one, future=future)
+            fetching.add_done_callback(self._ended.put)
 
     def _memory_limit(self) -> int | None:
         """Return the bytes that a child of a worker may take: by default those of the worker that has least."""
@@ -679,58 +682,28 @@ class DaskDriver:
         time.sleep(PAUSE_S)  # what ails Dask may pass
         return replace(one, troubles=one.troubles + 1)
 
-    def _arrived(self) -> "list[tuple[Future[Any], Reply | None]]":
-        """Wait for futures that end, and watch the workers meanwhile; return them with their results, fetched in one
-        message.  What fails so is fetched by itself later.
-        """
-        futures = []
-        with suppress(Empty):
-            futures = [self._ended.get(timeout=LOOK_EVERY_S)]
-        if time.monotonic() - self._looked > LOOK_EVERY_S:
-            self._look(idle=not futures)
-        while len(futures) < MOST_FETCHED and not self._ended.empty():
-            futures.append(self._ended.get())
-        good = [future for future in futures if future.status == "finished"]
-        answers: list[Reply] = []
-        if len(good) > 1:
-            with suppress(Exception):
-                answers = self._fetch(good).result(LOOK_EVERY_S)
-        known = dict(zip(good, answers, strict=False))
-        return [(future, known.get(future)) for future in futures]
-
-    def _fetch(self, futures: "list[Future[Any]]") -> Fetching[list[Reply]]:
-        """Begin to fetch results, in one message.
+    def _fetch(self, future: "Future[Any]") -> Fetching[Any]:
+        """Begin to fetch the result of a future, once it has one; Dask fetches several in one message.
 
         Fetching goes on whether it is waited for or not.  Dask cancels what takes longer than its timeouts; if it had
         not begun yet, as on a machine that stalls for a moment, all that the client fetches later fails.
         """
         loop: Any = self.client.loop
-        return asyncio.run_coroutine_threadsafe(self.client.gather(futures, asynchronous=True), loop.asyncio_loop)
+        return asyncio.run_coroutine_threadsafe(self.client.gather(future, asynchronous=True), loop.asyncio_loop)
 
-    def _result(self, future: "Future[Any]") -> Reply:
-        """Wait for a result, and watch the workers meanwhile: if the worker that had it has died since, it is computed
-        again, which would take for ever without workers.
-        """
-        fetching = self._fetch([future])
-        while not wait([fetching], LOOK_EVERY_S).done:
-            self._look()
-        return fetching.result()[0]
-
-    def _received(self, future: "Future[Any]", fetched: Reply | None) -> Reply:
+    def _received(self, fetching: Fetching[Any]) -> Reply:
         """Return a worker's answer; raises the error with which Dask lost it.  What the experiment raises is in it.
 
         Raises SweepError where the worker differs, where it cannot run linksweep, and where the connection is lost.
         """
         try:
-            answer = fetched or self._result(future)
+            answer: Reply = fetching.result()
         except ImportError as error:
             raise self._unable(error) from error
         except Exception as error:
-            if self.client.status != "running" and not isinstance(error, SweepError):
+            if self.client.status != "running":
                 raise self._gone() from error
             raise
-        finally:
-            future.release()
         self._warn(answer.worker, answer.others)
         if answer.another is not None and (problems := self._differences(answer.worker, answer.another)):
             raise SweepError(problems, "a worker that differs")

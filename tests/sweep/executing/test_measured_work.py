@@ -5,11 +5,11 @@ import signal
 import time
 
 import pytest
-from distributed import KilledWorker, LocalCluster
+from distributed import Client, KilledWorker, LocalCluster
 
 from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing import clusters, executor, worker
-from linksweep.sweep.executing.clusters import DaskDriver, own_cluster, run_on_worker
+from linksweep.sweep.executing.clusters import own_cluster, run_on_worker
 from linksweep.sweep.executing.pools import ANY_RESOURCES, POOLS, Limits, Resources
 from tests.sweep.opening import SERIAL, Sentences, existing_store, rows_on_disk, run_study, same, study_from_dict
 from tests.sweep.outside import wait_until
@@ -85,19 +85,18 @@ def computing(*arguments, **options):
 
 @pytest.fixture
 def failing(monkeypatch):
-    monkeypatch.setattr(clusters, "MOST_FETCHED", 1)  # each is fetched by itself, as where several cannot be
-    fetch = DaskDriver._result
+    gather = Client.gather
 
     def failing(times, error=None):
         monkeypatch.setitem(LEFT, "failures", times)
 
-        def result(self, future):
+        async def fetching(*arguments, **options):
             LEFT["failures"] -= 1
             if LEFT["failures"] >= 0:
                 raise error
-            return fetch(self, future)
+            return await gather(*arguments, **options)
 
-        where = (clusters, "run_on_worker", computing) if error is None else (DaskDriver, "_result", result)
+        where = (clusters, "run_on_worker", computing) if error is None else (Client, "gather", fetching)
         monkeypatch.setattr(*where)
 
     return failing
