@@ -12,7 +12,7 @@ from itertools import accumulate
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import Array, Experiment, Rows, Status, Value, check_finite
+from linksweep.sweep.contract import Array, Experiment, Rows, Status, check_finite
 from linksweep.sweep.contract.rows import DIGEST_BYTES, Block, BlockRows, converted, ledger_key
 from linksweep.sweep.planning.grid import AT_ONCE, GridPoint
 from linksweep.sweep.planning.plan import MOST_SHARING, NOTHING, SHARED, TARGET, Plan, PlanSize, Survey, Work
@@ -21,7 +21,7 @@ from linksweep.sweep.planning.plan import MOST_SHARING, NOTHING, SHARED, TARGET,
 MISSING, DONE = int(Status.MISSING), int(Status.DONE)
 
 # The cost of a realisation and what is left of each of the points that share random numbers, by what they share.
-Groups = dict[tuple[Value, ...], list[tuple[float, PlanSize]]]
+Groups = dict[bytes, list[tuple[float, PlanSize]]]
 
 SoFar = tuple[Rows, int, int]
 
@@ -102,7 +102,7 @@ class Accumulator:
             self.plan.check_size(total.blocks)
             if self._is_wanted(point):
                 pending += left
-                groups[grid.draw(point.parameters)].append((cost, left))
+                groups[point.stream].append((cost, left))
         if grid.study.draws_together:
             pending = replace(pending, cost=_cost_together(groups))
         return Survey(total, stored, pending)

@@ -236,10 +236,6 @@ class Grid:
         """Return where along each dimension the points at ``indices`` are."""
         return [along.tolist() for along in np.unravel_index(indices, self.shape)] if self.shape else []
 
-    def draw(self, parameters: Mapping[str, Any]) -> tuple[Value, ...]:
-        """Return a key that is equal for two points of this grid exactly if they share their random numbers."""
-        return tuple(parameters[name] for name in self._names if name not in self._shared)
-
     def excludes(self, parameters: Mapping[str, Any], gone: Collection[str] | None = None) -> bool:
         """Return whether the study leaves out a point with these parameters, of which some have no effect (``gone``) if
         that is known already.
@@ -281,26 +277,17 @@ def make_grid(study: Study) -> Grid:
     grid = Grid(study)
     if len(grid) > MAX_POINTS:
         sizes = " x ".join(f"{name} {length:,}" for name, length in zip(grid.dimensions, grid.shape, strict=True))
-        message = (
-            f"the grid has {len(grid):,} points ({sizes}); at most {MAX_POINTS:,} are allowed: cut it into studies "
-            "with a store each, or take a design of points (--design)"
-        )
-        raise SweepError(message, study.source)
+        allowed = f"at most {MAX_POINTS:,} are allowed; a design has fewer (--design)"
+        raise SweepError(f"the grid has {len(grid):,} points ({sizes}); {allowed}", study.source)
     if divided := grid.divided:
-        words = (
-            "shares a dimension, at some places of which only some points have its effect: give a table of points with"
-        )
-        depends = {name: " and ".join(one.name for one in study.when[name]) for name in divided}
-        raise SweepError(
-            [f"when.{n}: {n} {words} {n} and {others} as columns" for n, others in depends.items()], study.source
-        )
+        words = "shares a dimension, at some places of which only some points have its effect: give a table of points"
+        raise SweepError([f"when.{name}: {name} {words}" for name in divided], study.source)
     values = {name: (value,) for name, value in study.fixed.items()} | dict(study.axes)
     required = [one.name for one in study.experiment.parameters if not one.optional and one.default is not None]
     may_lack = [name for name in required if name in study.when and None in values.get(name, ())]
     judged = PointCache(partial(_judged, study, may_lack), study.varying, most=1)
     reasons, warnings = Counter[str](), Counter[str]()
     idle: Mapping[str, str] | None = None  # fixed parameters that mattered at no point so far
-    last: object = None
     for _, parameters in grid.parameters():
         reason, unused, warned = judged(study.arguments(parameters))
         if reason is not None:
@@ -308,9 +295,8 @@ def make_grid(study: Study) -> Grid:
             if len(reasons) > MAX_PROBLEMS:
                 break
             continue
-        if unused is not last:  # one object for all points that are alike to the experiment
-            last, known = unused, unused if idle is None else idle
-            idle = {name: why for name, why in known.items() if name in unused and name in study.fixed}
+        known = unused if idle is None else idle
+        idle = {name: why for name, why in known.items() if name in unused and name in study.fixed}
         warnings.update(warned)
         if judged.is_constant and not warned:
             break  # the experiment accepts every point: it looks at nothing that differs between them

@@ -8,6 +8,7 @@ fastest sound bit generator of NumPy.
 
 import math
 import struct
+from bisect import bisect_left
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -117,6 +118,7 @@ class Plan:
         self.costs_nothing_special = not experiment.says_cost
         self._cost = PointCache(experiment.cost, grid.study.varying)
         self.blocks = lru_cache(MOST_CUTS)(self._blocks)
+        self.parts = lru_cache(MOST_CUTS)(self._parts)
         self.block_shape = cache(self._shape)
 
     def for_study(self, study: Study) -> "Plan":
@@ -133,16 +135,10 @@ class Plan:
                 blocks.append(Block(group, part, first, min(catalogues, n_cat - first), n_sim))
         return tuple(blocks)
 
-    def parts(self, cost: float, n_sim: int | None = None) -> int:
+    def _parts(self, cost: float, n_sim: int | None = None) -> int:
         """Return into how many parts ``n_sim`` realisations of a catalogue (by default the study's) are cut."""
-        sampling, (sims, _) = self.grid.study.sampling, self.block_shape(cost)
-        wanted = n_sim or sampling.n_sim
-        if sampling.precision is None:
-            common = min(wanted, sampling.n_sim)
-            return -(-common // sims) + -(-(wanted - common) // min(sims, sampling.n_sim))
-        if wanted >= sims:
-            return -(-wanted // sims) + _doublings(sims)
-        return 1 + max(0, math.ceil(math.log2(wanted / min(FIRST_SIMS, sims))))
+        wanted = n_sim or self.grid.study.sampling.n_sim
+        return bisect_left(range(wanted), wanted, key=lambda parts: self.realisations(cost, parts))
 
     def only_block(self) -> Block | None:
         """Return the one block that every point consists of, None if points have several blocks or different ones."""
@@ -168,10 +164,10 @@ class Plan:
         if sampling.precision is None:
             further = max(0, parts - -(-sampling.n_sim // sims))
             return min(parts * sims, sampling.n_sim) + further * min(sims, sampling.n_sim)
-        whole = parts - _doublings(sims)
-        if whole > 0:
-            return sims * whole
-        return min(FIRST_SIMS, sims) << (parts - 1) if parts else 0
+        doublings = max(0, (sims // FIRST_SIMS).bit_length() - 1)
+        if parts > doublings:
+            return sims * (parts - doublings)
+        return FIRST_SIMS << (parts - 1) if parts else 0
 
     def _shape(self, cost: float) -> tuple[int, int]:
         if self.grid.study.draws_together:
@@ -269,11 +265,6 @@ class Plan:
         return {index: tuple(sorted(some)) if index in divided else None for index, some in sorted(blocks.items())}
 
 
-def _doublings(sims: int) -> int:
-    """Return the number of doublings in which parts reach their full size."""
-    return (sims // FIRST_SIMS).bit_length() - 1 if sims > FIRST_SIMS else 0
-
-
 def _power_of_two(ratio: float, most: int) -> int:
     return min(most, 2 ** max(0, math.floor(math.log2(ratio)))) if ratio >= 1 else 1
 
@@ -313,7 +304,7 @@ def _units(plan: Plan) -> Iterator[Unit]:
     grid, sampling = plan.grid, plan.grid.study.sampling
     groups: dict[object, list[tuple[int, float, range]]] = {}
     for point in grid.points():
-        key = grid.draw(point.parameters) if grid.study.draws_together else point.index
+        key = point.stream if grid.study.draws_together else point.index
         groups.setdefault(key, []).append((point.index, plan.cost(point.parameters), plan.parts_of(point)))
     for members in groups.values():
         for start in range(0, len(members), MOST_SHARING):

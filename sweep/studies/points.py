@@ -498,20 +498,16 @@ def read_points(
             table |= {} if asked.file is None else _in_file(asked.file, values)
             columns, labels = _apart(table, asked, values)
             origin |= {} if asked.file is None else {"file": Path(asked.file).name}
-    if len(problems.sentences) > before:
-        return {}, None
-    with problems.at(("points",)):
         lengths = {name: len(column) for name, column in (columns | labels).items()}
-        sizes = ", ".join(f"{name} has {n}" for name, n in lengths.items()) or "there are none"
-        if len({*lengths.values()}) != 1:
-            raise ValueError(f"needs columns with the same number of values; {sizes}")
-        if not 1 <= max(lengths.values()) <= MAX_VALUES:
-            raise ValueError(f"needs from 1 to {MAX_VALUES:,} points; {sizes}")
-        if asked.derive is not None:
-            settings = {n: v for n, v in (experiment.defaults() | form.fixed).items() if n not in form.axes}
-            with problems.at(("points", "derive")):
-                columns |= _derived(asked.derive, columns, settings, values, code)
-                origin["derive"] = asked.derive
+        is_table = len({*lengths.values()}) == 1 and 1 <= max(lengths.values()) <= MAX_VALUES
+        if len(problems.sentences) == before and not is_table:
+            sizes = ", ".join(f"{name} has {n}" for name, n in lengths.items()) or "there are none"
+            raise ValueError(f"needs columns with the same number of values, from 1 to {MAX_VALUES:,}; {sizes}")
+    if len(problems.sentences) == before and asked.derive is not None:
+        settings = {n: v for n, v in (experiment.defaults() | form.fixed).items() if n not in form.axes}
+        with problems.at(("points", "derive")):
+            columns |= _derived(asked.derive, columns, settings, values, code)
+            origin["derive"] = asked.derive
     if len(problems.sentences) > before:
         return {}, None
     points: dict[str, tuple[Value, ...] | None] = {}

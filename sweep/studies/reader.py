@@ -271,7 +271,7 @@ GOOD_NAME = re.compile(r"[A-Za-z_][\w.+-]{0,59}", re.ASCII)
 # The sections that a store has as they are written.
 SECTIONS = ("title", "question", "define", "when", "published", "claim", "conclusion", "figure")
 
-# The sections that are read last: they are about the axes and the experiment.
+# The sections that are read again, at last: they are about the axes and the experiment.
 STATEMENTS = ("sampling", "grid", "exclude", "claim", "conclusion", "figure")
 
 # Characters of the beginning of a docstring that is a title.
@@ -409,7 +409,7 @@ class _Reader:
         problems = self.problems
         # Definitions before values, which may be defined; points before axes and what is fixed, which may repeat them;
         # and last what is said of all these.
-        form, experiment, is_whole = self._form_and_experiment()
+        form, experiment, broken = self._form_and_experiment()
         experiment = self._defined(experiment, form.define)
         when = {one.name: one.when for one in experiment.parameters if one.when} | form.when
         parameters = [replace(one, when=when.get(one.name, {})) for one in experiment.parameters]
@@ -423,12 +423,9 @@ class _Reader:
             if name in form.axes:
                 problems.add(("fixed", name), "is an axis too; leave out one of the two")
             fixed[name] = values.one(("fixed", name), name, raw)
-        # Claims about zipped axes need the groups before these are known to be right.
-        groups = _read_form({"title": "", "grid": self.document.get("grid", {})}, Problems(self.where))
-        zipped = groups.grid.zip if isinstance(groups, Form) else []
-        conditions = self._conditions(values, when)
+        conditions, zipped = self._conditions(values, when), tuple(map(tuple, form.grid.zip))
         values_of = {name: some or () for name, some in axes.items()}
-        draft = Study("", "", "", experiment, values_of, fixed, ONCE, tuple(map(tuple, zipped)), table, when=conditions)
+        draft = Study("", "", "", experiment, values_of, fixed, ONCE, zipped, table, when=conditions)
         crossed = {name: draft.places[name] or None for name in crossed}
         required = {one.name for one in experiment.parameters if not one.optional and one.default is not None}
         for name in required.intersection(draft.lacking):  # where None can only mean that there is no effect
@@ -445,12 +442,12 @@ class _Reader:
         published = _read_published(form, values, axes, fixed)
         changed = frozenset(str(place[1]) for place in problems.options if place[0] in ("axes", "fixed"))
         columns = dict.fromkeys(points) if ("points",) in problems.options else points
-        known = frozenset({*axes, *fixed})
-        context = Context(experiment, crossed, zipped, known, changed, compared, columns) if is_whole else None
-        statements = {key: self.document[key] for key in STATEMENTS if key in self.document}
-        checked = _read_form({"title": "", **statements}, problems, context)
+        context = Context(experiment, crossed, zipped, frozenset({*axes, *fixed}), changed, compared, columns)
+        checked = form
+        if not broken & {"axes", "points"}:
+            statements = {key: self.document[key] for key in STATEMENTS if key in self.document.keys() - broken}
+            checked, _ = _read_form({"title": "", **statements}, problems, context)
         problems.report()
-        assert isinstance(checked, Form), "what is wrong has been reported"
         call = getattr(experiment, "call", None)
         docstring = (inspect.isfunction(call) and inspect.getdoc(call)) or ""
         summary, *rest = re.split(r"(?<=[.!?])\s+(?=[A-Z])|\n\n", docstring, maxsplit=1)
@@ -467,7 +464,7 @@ class _Reader:
             axes={name: one for name, one in axes.items() if one is not None},
             fixed=fixed,
             sampling=ONCE if experiment.deterministic else checked.sampling,
-            zipped=tuple(map(tuple, checked.grid.zip)),
+            zipped=zipped,
             points=table,
             excluded=tuple(tuple(clause.values()) for clause in checked.exclude),
             counts=form.counts,
@@ -520,17 +517,18 @@ class _Reader:
             parameters.append(replace(parameter, defined=objects, when=when.get(name, {})))
         return replace(experiment, parameters=tuple(parameters))
 
-    def _form_and_experiment(self) -> tuple[Form, Experiment, bool]:
-        """Return the document, as the options have changed it, without statements and without broken sections, so that
-        the others are checked too; its experiment; and whether axes and points are as they should be.
+    def _form_and_experiment(self) -> tuple[Form, Experiment, set[str | int]]:
+        """Return the document, as the options have changed it, without broken sections, so that the others are checked
+        too; its experiment; and which sections are broken.
         """
-        experiment, reasons = None, list[str]()
+        experiment = None
         reference = self.document.get("experiment", DEFAULT_EXPERIMENT)
         if isinstance(reference, str):  # else the form says what is wrong
             try:
                 experiment = self.code.experiment(reference, self.folder)
             except SweepError as error:
-                reasons = [f"{error.where}: {problem}" if error.where else problem for problem in error.problems]
+                for problem in error.problems:
+                    self.problems.add(("experiment",), f"{error.where}: {problem}" if error.where else problem)
         # Without sampling, --set seed=3 means a parameter of that name.
         is_sampled = experiment is None or not experiment.deterministic
         names = [] if experiment is None or is_sampled else [one.name for one in experiment.parameters]
@@ -543,17 +541,11 @@ class _Reader:
         if self.options.written is not None and experiment is not None:
             known = {one.name for one in experiment.parameters if one.reads_none}
             self.document |= {k: _with_none(one, known) for k, one in self.document.items() if k != "define"}
-        document = {key: section for key, section in self.document.items() if key not in STATEMENTS}
-        form = _read_form(document, self.problems)
-        for reason in reasons:
-            self.problems.add(("experiment",), reason)
+        form, broken = _read_form(self.document, self.problems)
         if experiment is None:
             self.problems.report()
         assert experiment is not None, "that there is none is a problem"
-        if isinstance(form, Form):
-            return form, experiment, True
-        whole = {key: section for key, section in document.items() if key not in form}
-        return Form.model_validate({"title": "", **whole}), experiment, not {"axes", "points"} & form
+        return form, experiment, broken
 
     def _portable(self, form: Form) -> dict[str, Any]:
         """Return the sections that a store has as they are written, with references and files that work from any
@@ -636,10 +628,12 @@ def _with_none(raw: Any, names: Collection[str], here: bool = False) -> Any:
 
 def _read_form(
     document: Mapping[str, Any], problems: Problems, context: Context | None = None
-) -> Form | set[str | int]:
-    """Return a document with its sections checked; or its broken sections, if any, when what is wrong is reported."""
+) -> tuple[Form, set[str | int]]:
+    """Return a document with its sections checked, without those that are broken, and which these are; ``problems``
+    takes what is wrong.
+    """
     try:
-        return Form.model_validate(document, context=context)
+        return Form.model_validate(document, context=context), set()
     except ValidationError as error:
         for item in error.errors():
             where = tuple(item["loc"])
@@ -651,7 +645,9 @@ def _read_form(
                 problems.add(where, str(item["ctx"]["error"]))
             else:
                 problems.add(where, f"{item['msg'][0].lower()}{item['msg'][1:]}, not {shown(item['input'])}")
-        return {item["loc"][0] for item in error.errors()}
+        broken = {item["loc"][0] for item in error.errors()}
+        whole = {key: section for key, section in document.items() if key not in broken}
+        return Form.model_validate({"title": "", **whole}, context=context), broken
 
 
 def _known_keys(where: KeyPath) -> list[str]:
@@ -676,10 +672,8 @@ def _read_published(form: Form, values: Values, axes: Collection[str], fixed: Ma
         text = read_text(values.folder / about.file)
         lines = [(n, line) for n, line in enumerate(text.splitlines(), 1) if line and not line.startswith("#")]
         reader = csv.DictReader((line for _, line in lines), restkey="")
-        try:
+        with refused(csv.Error, said="is not a CSV table: "):
             rows = [(lines[reader.line_num - 1][0], row) for row in reader]
-        except csv.Error as error:
-            raise ValueError(f"is not a CSV table: {error}") from error
         outputs = {output.name for output in values.experiment.outputs}
         parameters = {parameter.name: parameter for parameter in values.experiment.parameters}
         if not rows:

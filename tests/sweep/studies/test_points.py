@@ -96,7 +96,7 @@ WRONG = [
     ({"beta": [1.0, 2.0], "kk": [1, 2]}, "points.columns.kk: unknown parameter 'kk'; did you mean 'k'?"),
     (Table({"k": MaskedColumn([1, 2], mask=[True, False])}), "points.columns.k: has no value in row 1"),
     ({"beta": [1.0, np.nan]}, "points.columns.beta: row 2: beta = nan: must be a number > 0"),
-    ({"beta": [1.0, 2.0], "k": [1]}, "the same number of values; beta has 2, k has 1"),
+    ({"beta": [1.0, 2.0], "k": [1]}, "number of values, from 1 to 1,000,000; beta has 2, k has 1"),
     (Table({"beta": [1.0] * u.m}), "points.columns.beta: is in m, and the parameter is in 1/d"),
     *(("nowhere.csv", "no such file"), ("/", "Is a directory"), ("/dev/zero", "is a device")),
     (pd.Series([1]), "must be a DataFrame, a Table, a mapping of columns, a file or a design"),
