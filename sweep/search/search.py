@@ -52,11 +52,10 @@ MOTIONS = ("pmra", "pmdec", "pmra_error", "pmdec_error")
 MAGNITUDES = ("vt_mag", "phot_g_mean_mag")
 
 NUMBERS = ("ra", "dec", "ra_error", "dec_error", *MOTIONS, "ref_epoch", *MAGNITUDES)
-TYC = ("TYC1", "TYC2", "TYC3")
+# The parts of a Tycho identifier and their largest values.  Source: Hog et al. 2000, the Tycho-2 catalogue (CDS I/259),
+# notes on TYC1-3.
+TYC = {"TYC1": 9537, "TYC2": 12121, "TYC3": 3}
 QUANTITIES = (*NUMBERS, *TYC, "PGC", "source_id", "name")
-
-# Largest values.  Source: Hog et al. 2000, the Tycho-2 catalogue (CDS I/259), notes on TYC1-3.
-TYC_LIMITS = {"TYC1": 9537, "TYC2": 12121, "TYC3": 3}
 
 # What stands for a missing identifier, as integers have no NaN.
 MISSING = {**dict.fromkeys((*TYC, "PGC"), 0), "source_id": np.iinfo(np.int64).min, "name": ""}
@@ -120,10 +119,8 @@ def pairs_within(first: KDTree, second: KDTree, radius: float) -> tuple[Indices,
     """Return all pairs of two sky trees at most ``radius`` (rad) apart, in no particular order: an index into each, and
     the angle between them.
 
-    Raises ValueError for a radius outside (0, 1 degree], or one that is expected to give more than `MAX_PAIRS`.
+    Raises ValueError for a radius that is expected to give more than `MAX_PAIRS`.
     """
-    if not 0.0 < radius <= MAX_RADIUS:
-        raise ValueError(f"radius = {radius / ARCSEC:g} arcsec: must be above 0 and at most {MAX_RADIUS / ARCSEC:g}")
     expected = uniform_pairs(first.n, second.n, radius)
     if expected > MAX_PAIRS:
         said = f"radius = {radius / ARCSEC:g} arcsec: about {expected:.1e} chance pairs of {first.n} and {second.n}"
@@ -468,16 +465,13 @@ def _read_motions(read: Columns, missing_pm: str, ref_epoch: float | None) -> di
 
 def _read_tyc(read: Columns) -> dict[str, Any]:
     """Return the Tycho identifiers from three columns, nothing for a table without them."""
-    known = len(read.problems)
-    if not any(read.has(key) for key in TYC):
+    if not any(read.has(key) for key in TYC) or sum(read.require(key) for key in TYC) < len(TYC):
         return {}
-    tyc = pd.DataFrame({key: read.integers(key) for key in TYC if read.require(key)})
-    if len(read.problems) > known:
-        return {}
-    for key, limit in TYC_LIMITS.items():
-        read.check(((tyc[key] < 1) | (tyc[key] > limit)).to_numpy(), f"a {read.label(key)} outside 1..{limit}")
-    read.check(tyc.duplicated().to_numpy(), "the Tycho identifier of an earlier row")
-    return dict(tyc)
+    tyc = {key: read.integers(key) for key in TYC}
+    for key, limit in TYC.items():
+        read.check((tyc[key] < 1) | (tyc[key] > limit), f"a {read.label(key)} outside 1..{limit}")
+    read.check(pd.DataFrame(tyc).duplicated().to_numpy(), "the Tycho identifier of an earlier row")
+    return tyc
 
 
 # ---- what it gives
@@ -485,8 +479,11 @@ def _read_tyc(read: Columns) -> dict[str, Any]:
 # More entries of galaxy catalogues would fill the map: of a larger number a random share is drawn.
 MOST_ENTRIES = 30_000
 
-# Columns for the stars' measured proper motions, so named that a study does not take them for the galaxies' (zero).
-STAR_MOTIONS = {name: f"star_{name}" for name in MOTIONS}
+# Columns of the stars under other names: measured proper motions, which a study must not take for the galaxies' (zero).
+OF_STARS = {name: f"star_{name}" for name in (*MOTIONS, "table", "row")}
+# Columns of `Matches` and their names in results.
+OF_MATCHES = {name: name for name in ("class", "n_near", "n_rival", "offset")} | {"identifier": "PGC"}
+OF_MATCHES |= {"d_ra": "offset_ra", "d_dec": "offset_dec", "n_sigma": "offset_sigma"}
 
 # The columns of the ECSV beside those of the star table, their units and what they mean.
 MATCH_COLUMNS: Mapping[str, tuple[str | None, str]] = {
@@ -531,7 +528,7 @@ def find_galaxies(
     if output.suffix.lower() == ".ecsv":
         contents[output] = records(matches).ecsv().encode()
     if table is not None:
-        if without := [path for name, path in search.stars.items() if TYC[0] not in result.stars[name]]:
+        if without := [path for name, path in search.stars.items() if not {*TYC} <= {*result.stars[name]}]:
             needed = "the 46-byte table needs columns TYC1, TYC2 and TYC3"
             raise SweepError([f"{path}: {needed}" for path in without])
         contents[table] = galaxy_table(matches.drop_dims("entry").to_dataframe()).encode("ascii")
@@ -595,21 +592,16 @@ def match_columns(result: SearchResult) -> pd.DataFrame:
     Numbers that a table does not have are NaN, identifiers `MISSING`.
     """
     matches, galaxy_tables = result.matches, np.array(list(result.galaxies))
-    star, galaxy = _together(result.stars), _together(result.galaxies)
-    starts = np.cumsum([0, *map(len, result.galaxies.values())])
-    star = star.iloc[matches["star"]].reset_index(drop=True)
-    galaxy = galaxy.iloc[starts[matches["catalogue"]] + matches["entry"]].reset_index(drop=True)
-    reasons = matches.reasons.columns.to_numpy()
-    columns = {name: star[name] for name in (*TYC, "source_id") if name in star} | {"PGC": matches["identifier"]}
-    columns |= {STAR_MOTIONS.get(name, name): star[name] for name in NUMBERS if name in star}
-    of_match = {name: matches[name] for name in ("class", "n_near", "n_rival")} | {"offset_sigma": matches["n_sigma"]}
-    of_match |= {"reason": [",".join(reasons[doubts]) or "none" for doubts in matches.reasons.to_numpy()]}
-    of_match |= {"found_in": [",".join(galaxy_tables[there]) for there in matches.found_in]}
-    offsets = {"offset": "offset", "offset_ra": "d_ra", "offset_dec": "d_dec"}
-    of_match |= {name: matches[column] / ARCSEC for name, column in offsets.items()}
-    of_match |= {f"galaxy_{name}": galaxy[name] for name in ("table", "row", "name", "ra", "dec") if name in galaxy}
-    of_match |= {f"star_{name}": star[name] for name in ("table", "row")}
-    return pd.DataFrame(columns | {name: of_match[name] for name in MATCH_COLUMNS if name in of_match})
+    starts, reasons = np.cumsum([0, *map(len, result.galaxies.values())]), matches.reasons.columns.to_numpy()
+    star = _together(result.stars).iloc[matches["star"]].rename(columns=OF_STARS)
+    galaxy = _together(result.galaxies).iloc[starts[matches["catalogue"]] + matches["entry"]].add_prefix("galaxy_")
+    of_match = matches.table[[*OF_MATCHES]].rename(columns=OF_MATCHES)
+    of_match[["offset", "offset_ra", "offset_dec"]] /= ARCSEC
+    of_match["reason"] = [",".join(reasons[doubts]) or "none" for doubts in matches.reasons.to_numpy()]
+    of_match["found_in"] = [",".join(galaxy_tables[there]) for there in matches.found_in]
+    columns = pd.concat([part.reset_index(drop=True) for part in (star, galaxy, of_match)], axis=1)
+    names = (*TYC, "source_id", "PGC", *(OF_STARS.get(name, name) for name in NUMBERS), *MATCH_COLUMNS)
+    return columns[[name for name in names if name in columns]]
 
 
 def _together(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
@@ -627,8 +619,7 @@ def galaxy_table(columns: pd.DataFrame) -> str:
     F12.8, byte 46 is the class, one of `LETTERS`.  A right ascension that rounds to 360 is written as 0.  Raises
     SweepError that names stars with a PGC number that does not fit, such as the 0 of a galaxy without one.
     """
-    problems: list[str] = []
-    lines: list[str] = []
+    problems, lines = list[str](), list[str]()
     for tyc1, tyc2, tyc3, pgc, ra, dec, name in columns[[*TYC, "PGC", "ra", "dec", "class"]].itertuples(index=False):
         if not 1 <= pgc <= LARGEST_PGC:
             said = f": PGC = {pgc} does not fit bytes 14-18, from 1 to {LARGEST_PGC}" if pgc else " has no PGC number"
@@ -636,8 +627,7 @@ def galaxy_table(columns: pd.DataFrame) -> str:
         wrapped = 0.0 if f"{ra:.8f}" == "360.00000000" else ra
         lines.append(f"{tyc1:4d} {tyc2:5d} {tyc3:1d} {pgc:5d} {wrapped:12.8f} {dec:12.8f} {LETTERS[name]}\n")
     if problems:
-        more = len(problems) - PROBLEMS_NAMED
-        raise SweepError([*problems[:PROBLEMS_NAMED], *[f"and {more:,} more"] * (more > 0)])
+        raise SweepError(first_of(problems, PROBLEMS_NAMED, "\n"))
     return "".join(lines)
 
 

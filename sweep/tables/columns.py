@@ -64,7 +64,7 @@ CORRELATIONS: Mapping[str, tuple[str, ...]] = {
 # Units of quantities other than positions, and of the errors of all quantities.
 _UNITS = {
     **dict.fromkeys(("ra", "dec", "parallax", "calibrator"), "mas"),
-    **dict.fromkeys(("pmra", "pmdec"), "mas / yr"),
+    **dict.fromkeys(("pmra", "pmdec", "omega_x", "omega_y", "omega_z"), "mas / yr"),
     **dict.fromkeys(ACCELERATIONS[:2], "mas / yr2") | dict.fromkeys(ACCELERATIONS[2:], "mas / yr3"),
     **{"ref_epoch": "yr", "radial_velocity": "km / s", "period": "d", "t_periastron": "d"},
     **dict.fromkeys(("nu_eff_used_in_astrometry", "pseudocolour"), "1 / um"),
@@ -203,6 +203,11 @@ class Columns:
     def name(self, quantity: str) -> str | None:
         """Return the name of the column of a quantity; None if the table has none."""
         return column_of(quantity, self.names, self.columns)
+
+    @property
+    def from_archive(self) -> bool:
+        """Whether the table is one of the Gaia archive, whose CSV has no units: a small field may lie anywhere."""
+        return self.name("ra") == "ra" and {*self.names} >= GAIA_MARKS
 
     def has(self, *quantities: str) -> bool:
         """Return whether the table has the columns of all these quantities."""
@@ -380,8 +385,7 @@ class Columns:
             size = float(np.max(np.abs(values), where=~np.isnan(values), initial=0.0))
             if wanted == "deg" and _NAMED_RADIANS.search(name) and size <= 2.0 * np.pi:
                 return 180.0 / np.pi
-            # the Gaia archive's CSV has no units, and a small field may lie anywhere
-            if quantity == "ra" and np.isfinite(values).any() and not (name == "ra" and {*self.names} >= GAIA_MARKS):
+            if quantity == "ra" and np.isfinite(values).any() and not self.from_archive:
                 _check_hours(name, values, size)
             return 1.0
         factor = _factor(unit, wanted, _plain(quantity) in ALONG_RA)

@@ -459,11 +459,11 @@ def is_parquet(path: Path) -> bool:
         return file.read(4) == b"PAR1"
 
 
-def row_groups(path: Path) -> tuple[list[int], list[str]]:
-    """Return the number of rows of each row group of a Parquet file, and the names of its columns."""
+def row_groups(path: Path) -> tuple[list[int], Any]:
+    """Return the number of rows of each row group of a Parquet file, and its table without rows."""
     with path.open("rb") as source, _parquet(source) as file:
         sizes = [file.metadata.row_group(group).num_rows for group in range(file.num_row_groups)]
-        return sizes, list(_from_arrow(file.schema_arrow.empty_table()).colnames)
+        return sizes, _from_arrow(file.schema_arrow.empty_table())
 
 
 def read_row_group(path: Path, group: int, columns: Sequence[str]) -> Any:

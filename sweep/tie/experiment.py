@@ -31,7 +31,6 @@ UNITS = _STORED.units
 ORIENTATION, SPIN = slice(0, 3), slice(3, 6)
 
 FIELD_UNITS = tuple("mas2/yr2" if field.startswith("motion") else "mas2" for field in FIELDS)
-MAGNITUDE = "phot_g_mean_mag"
 HIGHEST_STORED = 10
 MOST_BINS = 10
 POWER_SHAPE, BIN_SHAPE = (len(FIELDS), HIGHEST_STORED), (MOST_BINS, 3)
@@ -256,9 +255,9 @@ def _within(whole: setup.Setup, point: Mapping[str, Any]) -> setup.Setup:
     if point["g_max"] is None:
         return whole
     columns = whole.problem.satellite.columns
-    if MAGNITUDE not in columns:
-        raise SweepError(f"g_max: the satellite has no column of numbers {MAGNITUDE}")
-    kept = columns[MAGNITUDE] <= point["g_max"]
+    if setup.MAGNITUDE not in columns:
+        raise SweepError(f"g_max: the satellite has no column of numbers {setup.MAGNITUDE}")
+    kept = columns[setup.MAGNITUDE] <= point["g_max"]
     if not np.any(kept):
         raise SweepError(f"g_max = {point['g_max']:g}: no source is that bright")
     return whole.only(np.flatnonzero(kept))

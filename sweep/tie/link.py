@@ -163,7 +163,8 @@ def _misfit(setup: Setup, sources: solving.Sources, result: solving.Clipped) -> 
     half of them.
     """
     factors, solved, problem = result.factors, result.solution, setup.problem
-    if in_groups := isinstance(sources, solving.StreamedSources) and len(sources.problems) > 1:
+    # the problem of a table that is read in row groups has no values
+    if in_groups := isinstance(sources, solving.StreamedSources) and not np.any(problem.satellite.present):
         if mistakes.DEFICIT <= solved.scale**2 <= mistakes.GOOD:
             return mistakes.Misfit(solved.scale**2)  # a row group is read again only if something is wrong
         problem = sources.problems[0]()
@@ -350,8 +351,6 @@ def as_dataset(link: Link, options: Options, per_source: bool = True) -> xr.Data
     main = next(iter(link.covariances))
     covariance = np.array(list(link.covariances.values())) / MAS**2
     errors = np.sqrt(np.einsum("ekk->ek", covariance))
-    with np.errstate(invalid="ignore", divide="ignore"):  # tables without any discrepancy have scaled errors of 0
-        correlation = covariance[0] / np.outer(errors[0], errors[0])
     both = ("unknown", "unknown_other")
     variables: dict[str, Any] = {
         **_labels(unknowns),
@@ -363,7 +362,6 @@ def as_dataset(link: Link, options: Options, per_source: bool = True) -> xr.Data
         "covariance": (both, covariance[0], {"kind": main}),
         "covariances": (("error_kind", *both), covariance),
         "samples": ("error_kind", list(link.samples.values()), {"long_name": "sources or cells of the errors"}),
-        "correlation": (both, correlation),
         "chi2": ((), solved.squares),
         "chi2_expected": ((), solved.expected, {"long_name": "average of chi2 if the errors are right"}),
         "dof": ((), solved.dof),

@@ -24,7 +24,7 @@ from linksweep.sweep.contract import SweepError, refused
 from linksweep.sweep.executing.executor import Map
 from linksweep.sweep.formatting import first_of, split_assignment
 from linksweep.sweep.tables import reader
-from linksweep.sweep.tables.columns import Columns, column_of, conditions
+from linksweep.sweep.tables.columns import Columns, conditions
 from linksweep.sweep.tables.options import by_table, number, numbers, parameter
 from linksweep.sweep.tie import tables as files
 from linksweep.sweep.tie.options import SIDES, SIGNS, TABLE, Options, listed
@@ -36,6 +36,9 @@ DECLARED = {one.name: parameter(one) for one in fields(Options)}
 MARKS = ("extragalactic", "without_cos_dec", "parallax_zero_point")
 
 ICRF3_EPOCH = 2015.0
+
+# Its bins may have spins of their own that are known.
+MAGNITUDE = "phot_g_mean_mag"
 
 # Kinds of rows whose jitter is one of motions if it is one number.
 MOTIONS = ("motion", "three-parameter")
@@ -565,11 +568,11 @@ def known_unknowns(options: Options, stars: Astrometry) -> tuple[Unknowns, Array
 
 
 def _spin_by_bin(spin: str, sign: str, stars: Astrometry) -> tuple[Block, Array]:
-    """Return the block and the values (rad/yr) of a spin that a table has by bins of a column.
+    """Return the block and the values (rad/yr) of a spin that a table has by bins of phot_g_mean_mag.
 
-    A table has columns COLUMN_min and COLUMN_max of the satellite's COLUMN, or mag_min and mag_max for phot_g_mean_mag,
-    and omega_x, omega_y, omega_z with a unit; its metadata may have ``sign`` and ``release``.  Raises SweepError for
-    anything else, for sources outside its bins, and for those of another release.
+    The table has columns mag_min, mag_max, and omega_x, omega_y, omega_z with a unit; its metadata may have ``sign``
+    and ``release``.  Raises SweepError for anything else, for sources outside its bins, and for those of another
+    release.
     """
     read, at = Columns(reader.read_table(files.built_in(Path(spin))), spin), releases_at(stars.epoch)
     if (release := read.table.meta.get("release")) is not None and at != [release]:
@@ -577,24 +580,21 @@ def _spin_by_bin(spin: str, sign: str, stars: Astrometry) -> tuple[Block, Array]
         raise SweepError(f"spins of {release}, and the satellite's epochs are those of {there}", spin)
     if (said := read.table.meta.get("sign", sign)) not in [*SIGNS]:
         raise SweepError(f"sign {said!r} in its metadata: must be {' or '.join(SIGNS)}", spin)
-    names = [name[:-4] for name in read.names if name.endswith("_min") and f"{name[:-4]}_max" in read.names]
     axes = [f"omega_{axis}" for axis in "xyz"]
-    units = [unit for name in axes if name in read.names and (unit := read.table[name].unit) is not None]
-    if len(names) != 1 or len(units) < len(axes) or not all(unit.is_equivalent("mas/yr") for unit in units):
-        needs = f"one pair of columns NAME_min, NAME_max, and {', '.join(axes)} with units, uas/yr or mas/yr"
-        raise SweepError(f"a table of spins has {needs}; here {', '.join(read.names)}", spin)
-    read.table.sort(f"{names[0]}_min")
-    low, high = (read.numbers(f"{names[0]}_{end}") for end in ("min", "max"))
-    vectors = np.array([read.numbers(name) * unit.to("mas/yr") for name, unit in zip(axes, units, strict=True)]).T
-    read.check(~np.isfinite(vectors).all(axis=1), f"a bin of {names[0]} without a spin", low)
+    for name in ("mag_min", "mag_max", *axes):
+        if read.require(name) and name in axes and read.table[name].unit is None:
+            read.problems.append(f"column {name!r} has no unit, uas/yr or mas/yr")
+    read.finish()
+    read.table.sort("mag_min")
+    low, high = (read.numbers(f"mag_{end}") for end in ("min", "max"))
+    vectors = np.array([read.quantity(name) for name in axes]).T
     read.finish()
     if np.any(low[1:] != high[:-1]) or np.any(high <= low):
-        raise SweepError(f"the bins of {names[0]} do not follow one another", spin)
-    column = {"mag": "phot_g_mean_mag", "G": "phot_g_mean_mag"}.get(names[0], names[0])
-    values = stars.columns.get(column, np.full(len(stars), np.nan))
+        raise SweepError("the bins of magnitude do not follow one another", spin)
+    values = stars.columns.get(MAGNITUDE, np.full(len(stars), np.nan))
     if np.any(outside := ~((values >= low[0]) & (values < high[-1]))):
-        raise SweepError(f"{np.count_nonzero(outside)} matched sources have no {column} in its bins", spin)
-    block = spin_by_bin(column, tuple(low[1:].tolist()), tuple(range(len(low))))
+        raise SweepError(f"{np.count_nonzero(outside)} matched sources have no {MAGNITUDE} in its bins", spin)
+    block = spin_by_bin(MAGNITUDE, tuple(low[1:].tolist()), tuple(range(len(low))))
     return block, SIGNS[said] * vectors.ravel() * MAS
 
 
@@ -735,15 +735,18 @@ def set_up_row_groups(
     Without ``per_source`` the result has no positions of the sources, which saves memory.
     """
     path = Path(satellite).resolve()
-    sizes, columns = reader.row_groups(path)
-    names = columns
-    if not isinstance(options.known_spin, str):
-        chosen = table_options(options)["satellite"].columns
-        used = {column_of(quantity, columns, chosen) for quantity in files.QUANTITIES if quantity != "name"}
-        names = [name for name in columns if name in used | {parse_bins(options.bins)[0]}]
+    sizes, without_rows = reader.row_groups(path)
+    how = table_options(options)["satellite"]
+    read = Columns(without_rows, str(path), how.columns, how.units, files.QUANTITIES)
+    further = files.ZERO_POINT if how.parallax_zero_point or isinstance(options.known_spin, str) else ()
+    used = {read.name(quantity) for quantity in (*files.QUANTITIES, *further) if quantity != "name"}
+    names = tuple(name for name in read.names if name in used | {parse_bins(options.bins)[0]})
+    asked = options
+    if read.from_archive and "ra" not in how.units and not read.table["ra"].unit:  # of some columns nobody could tell
+        asked = replace(options, units=(*options.units, ("satellite:ra", "deg")))
     digest, n = digest_once(path), sum(sizes)
     firsts = np.cumsum([0, *sizes]).tolist()
-    groups = [RowGroup(path, digest, k, firsts[k], tuple(names), options) for k, size in enumerate(sizes) if size]
+    groups = [RowGroup(path, digest, k, firsts[k], names, asked) for k, size in enumerate(sizes) if size]
     looks = run(look_through, ((group, per_source) for group in groups))
     samples, epochs, places, moving, notes = zip(*looks, strict=True)
     values = np.broadcast_to(np.nan, (5, n))  # takes no memory
@@ -755,7 +758,7 @@ def set_up_row_groups(
         for note in some:
             noted.setdefault(note, group.first)
     known = np.concatenate([np.repeat(*one) for one in epochs])
-    if mixed := files.of_two_releases(columns, known):
+    if mixed := files.of_two_releases(read.names, known):
         raise SweepError(mixed, str(path))
     epoch = default_epoch(known) if options.epoch is None else options.epoch
     said = [f"{path.name}, from row {first + 1} on: {note}" for note, first in noted.items()]
@@ -768,7 +771,7 @@ def set_up_row_groups(
     row_numbers = np.arange(n + 1)  # one array for the sources and, from 1, for their names
     stars = Astrometry(values, np.broadcast_to(np.nan, (5, n)), np.broadcast_to(epoch, n))
     problem = Problem(stars, zero_motion(n, options), row_numbers[:-1], unknowns, epoch, options.weights)
-    left = AstrometricTable(str(satellite), digest, stars, {}, options=table_options(options)[SIDES[0]])
+    left = AstrometricTable(str(satellite), digest, stars, {}, options=how)
     right = AstrometricTable(ZERO_MOTION, "", problem.rows, {})
     matched = Match(row_numbers[:-1], EVERY_SOURCE, np.broadcast_to(-1, n))
     said.append(f"read in {len(groups)} row groups; sources are named by their row numbers")

@@ -229,7 +229,7 @@ def test_parquet_has_its_gaps_and_that_of_astropy_its_masks_and_times(tmp_path):
     table["id"].mask[1] = table["ra"].mask[0] = table["name"].mask[0] = True
     table["t"] = Time([2016.0, 2017.0], format="jyear")
     table.write(tmp_path / "t.parquet")
-    names = row_groups(tmp_path / "t.parquet")[1]
+    names = row_groups(tmp_path / "t.parquet")[1].colnames
     for found in (read_table(tmp_path / "t.parquet"), read_row_group(tmp_path / "t.parquet", 0, names)):
         assert found.colnames == ["id", "ra", "name", "t"]
         assert [found[n].tolist() for n in names[:3]] == [[2**62 + 1, None], [None, 2.5], [None, "b"]]

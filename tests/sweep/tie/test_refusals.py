@@ -26,7 +26,7 @@ SPIN = {"mag_min": [0.0], "mag_max": [30.0]} | {f"omega_{axis}": [10.0] for axis
 BLANK = {f"omega_{axis}": MaskedColumn([1.0], mask=[axis == "y"], unit="uas/yr") for axis in "xyz"}
 DR3 = {"phot_g_mean_mag": at(1, 8.0, 12.0), "nu_eff_used_in_astrometry": np.full(N, 1.5), "pseudocolour": at(1, 1.4)}
 DR3 |= {"ecl_lat": at(1, 30.0), "astrometric_params_solved": np.full(N, 31)}
-ARCSEC = Column(at(0, 0), unit="arcsec")
+ARCSEC, RATE = Column(at(0, 0), unit="arcsec"), Column([10.0], unit="uas/yr")
 SHIFTED = {"parallax_zero_point": "satellite"}
 
 # The sentence, the changes of the columns (None: without it) of either table, and the options.
@@ -53,8 +53,8 @@ REFUSED = [
     ("epochs of dr3 and dr4, each", {"Ref_epoch": at(1, 2017.5, 2016), "ref_epoch": None, "ra_error": None}, {}, {}),
     ("no column 'ecl_lat'", DR3 | {"ecl_lat": None}, {}, SHIFTED),
     ("spins of dr3, and the satellite's epochs are those of dr4", DR4, {}, {"known_spin": "edr3-spin"}),
-    ("omega_x, omega_y, omega_z with units", {}, {}, {"known_spin": SPIN | {"omega_x": Column([1.0], unit="mas")}}),
-    ("mag without a spin in row 1", {}, {}, {"known_spin": SPIN | BLANK}),
+    ("'omega_y' has no unit, uas/yr or mas/yr", {}, {}, {"known_spin": SPIN | {"omega_x": RATE, "omega_z": RATE}}),
+    ("no omega_y in row 1", {}, {}, {"known_spin": SPIN | BLANK}),
     ("Say it: units ra = deg", {}, {"ra": ["225:30:01.5"] * N, "ra_error": Column(at(0, 0), unit="mas")}, {}),
     *(("': .* no side", {}, {}, {"missions": {"satellite": "r"}}), ("no option degrees", {}, {}, {"degrees": 3})),
     *(("sign = 'minus'", {}, {}, {"sign": "minus"}), ("three finite", {}, {}, {"known_orientation": [1.0, 2.0]})),

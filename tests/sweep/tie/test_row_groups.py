@@ -65,12 +65,13 @@ def test_it_is_the_solution_of_the_whole_table(tmp_path, monkeypatch, options):
 @pytest.mark.parametrize("rows", [1000, 10**6], ids=["by groups", "whole"])
 def test_sources_without_a_motion_are_left_out_with_a_note(tmp_path, monkeypatch, rows):
     monkeypatch.setattr("linksweep.sweep.tie.setup.FROM_ROWS", rows)
-    table = parquet.read_table(quasars(tmp_path / "quasars.parquet"))
+    ra = np.linspace(0.0, 100.0, 3000)  # the first group lies within 24 deg
+    table = parquet.read_table(quasars(tmp_path / "quasars.parquet", ra=ra))
     lacks = np.isin(np.arange(3000), [*range(720), 2000])  # all of the first group
     parquet.write_table(table.filter(~lacks), tmp_path / "moving.parquet", row_group_size=700)
     motions = ("pmra", "pmdec", "pmra_error", "pmdec_error")
     blank = {name: pa.array(table[name].to_numpy(), mask=lacks) for name in motions}
-    paths = quasars(tmp_path / "b.parquet", **blank), tmp_path / "moving.parquet"
+    paths = quasars(tmp_path / "b.parquet", ra=ra, **blank), tmp_path / "moving.parquet"
     links = [tie(path, "zero-motion", clip="median:5") for path in paths]
     np.testing.assert_allclose(links[0].estimate, links[1].estimate, rtol=1e-9)
     assert [int(link.n_sources) for link in links] == [int(links[1].n_sources)] * 2

@@ -169,7 +169,7 @@ def test_a_limit_of_magnitude_leaves_sources_out(monkeypatch):
     at = point("pulsar-forecast", n_new=3)
     everything = design_of(at | {"n_new": 62}).problem.satellite.columns["parallax"]
     edge = np.sort(everything)[40]
-    monkeypatch.setattr(experiment, "MAGNITUDE", "parallax")
+    monkeypatch.setattr(experiment.setup, "MAGNITUDE", "parallax")
     inside = everything[everything <= edge]  # a limit is within
     of = design_of(at | {"g_max": edge, "n_new": 6, "truth": "zero"})
     taken = design_of(at | {"g_max": edge, "n_new": len(inside)})
@@ -224,7 +224,7 @@ def test_a_study_has_what_the_command_has_with_each_option(here, case):
     hip.remove_column("ref_epoch")
     hip.rename_column("parallax", "plx")
     hip.write("hip.ecsv")
-    spins = {"ra_min": [0.0, 200.0], "ra_max": [200.0, 360.0]} | {f"omega_{axis}": [0.1, 0.2] for axis in "xyz"}
+    spins = {"mag_min": [0.0, 10.0], "mag_max": [10.0, 30.0]} | {f"omega_{axis}": [0.1, 0.2] for axis in "xyz"}
     Table(spins, units=dict.fromkeys(("omega_x", "omega_y", "omega_z"), "mas/yr")).write("spin.ecsv")
     in_study, in_python = CASES[case]
     results = written(here, satellite="satellite.ecsv", reference="reference.ecsv", **in_study)
