@@ -9,11 +9,10 @@ import platform
 import re
 import shlex
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from datetime import UTC, datetime
 from functools import lru_cache
 from itertools import pairwise
-from math import floor, inf, isfinite, isnan, log10, nan
+from math import floor, inf, isfinite, isnan, log10
 from typing import Any, NamedTuple
 
 WIDTH = 80  # sentences are broken into lines of at most this many characters
@@ -162,20 +161,6 @@ def plain(values: Sequence[Any]) -> list[str]:
     digits = next((d for d in range(6, 17) if all(abs(float(f"{v:.{d}g}") - v) <= off[v] for v in off)), 17)
     texts = {v: min(f"{v:.{digits}g}", repr(v).removesuffix(".0"), key=len) for v in floats}
     return ["" if is_missing(v) else texts.get(v, str(v)) if isinstance(v, float) else str(v) for v in values]
-
-
-def meant(values: Sequence[Any], wanted: Any) -> set[int]:
-    """Return where the number is that was read as the one wanted: the texts of some, see `plain`, are not all of them,
-    and what is wanted is twenty times nearer to it than to any other.
-    """
-    number = nan
-    with suppress(ValueError, TypeError):
-        number = float(wanted)
-    texts = {v: text for v, text in zip(values, plain(values), strict=True) if isinstance(v, int | float) and text}
-    first, second = [*sorted(texts, key=lambda value: abs(value - number)), number * (1.0 + 1e-9), number][:2]
-    is_short = isinstance(first, float) and float(texts.get(first, "nan")) != first
-    is_near = 20.0 * abs(first - number) < abs(second - number)
-    return {i for i, v in enumerate(values) if v == first} if is_short and is_near else set()
 
 
 def is_missing(value: Any) -> bool:

@@ -70,9 +70,8 @@ MEANINGS = {
 }
 
 _COMPARE = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}
-_LIMIT = re.compile(
-    r"\s*(?P<variable>\w+)\s*(?P<sign><=|>=|<|>)\s*(?P<number>[-+.\w]*\d[-+.\w]*?)(?:\s+(?P<unit>\S.*))?"
-)
+_NUMBER = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_LIMIT = re.compile(rf"(?P<variable>\w+)\s*(?P<sign><=|>=|<|>)\s*(?P<number>{_NUMBER})(?:\s+(?P<unit>\S.*))?")
 
 
 # A quantity along an axis
@@ -456,9 +455,7 @@ def parse_limit(text: str) -> Limit:
     """Return the limit that a text like "sigma_spin < 1 uas/yr" states; raises SweepError that says what is allowed."""
     wanted = "a condition is VARIABLE, one of < <= > >=, a finite number and perhaps its unit, like 'x < 1 uas/yr'"
     match = _LIMIT.fullmatch(text.strip())
-    number = math.nan
-    with suppress(ValueError):
-        number = float(match["number"]) if match else math.nan
+    number = float(match["number"]) if match else math.nan
     if match is None or not math.isfinite(number):
         raise SweepError(f"{shown(text)}: {wanted}", "--where")
     if unit_problem(unit := match["unit"] or ""):
@@ -544,13 +541,13 @@ def interpolate(dataset: xr.Dataset, variable: str, over: str, at: float) -> xr.
             wanted, first, *_, last = plain([at, *x.tolist()])
             raise SweepError(f"{over} = {wanted} is beyond the points, which go from {first} to {last}")
         i = min(max(int(np.searchsorted(x, at)) - 1, 0), len(x) - 2)
-        u, spread, power = _pair(line, i)
+        u, spread, unit = _pair(line, i)
         *_, z = scale = on_scale(np.append(x, at), made.over_unit)
         fraction = (z - scale[i]) / (scale[i + 1] - scale[i])
         weights = np.array([1.0 - fraction, fraction])
         value, variance = weights @ u, np.maximum(weights @ spread @ weights, 0.0) * small_sample_factor(line.samples)
         error = np.sqrt(variance)
-        row[:] = (np.exp(value), np.exp(value) * error) if power is None else np.ldexp([value, error], power)
+        row[:] = (np.exp(value), np.exp(value) * error) if unit is None else (value * unit, error * unit)
     attributes, rows = dataset[variable].attrs, rows.T.reshape(2, *(made.grid.sizes[d] for d in made.dims))
     of_error = described(units_of(attributes), f"one-sigma error of {variable}")
     values = {variable: (made.dims, rows[0], attributes), f"{variable}_mc_error": (made.dims, rows[1], of_error)}
@@ -623,20 +620,16 @@ def _reach(line: Line, z: Array, start: int, fraction: float, threshold: float) 
     return np.nan
 
 
-def _pair(line: Line, i: int, threshold: float | None = None) -> tuple[Array, Array, int | None]:
-    """Return two neighbouring values less a threshold, if there is one, and their covariance (2, 2), over a power
-    of two so that squares are floats; and its exponent, None if these are logarithms, as where all are above 0.
+def _pair(line: Line, i: int, threshold: float | None = None) -> tuple[Array, Array, float | None]:
+    """Return two neighbouring values less a threshold, if there is one, and their covariance (2, 2), as logarithms
+    where all are above 0 and None; else in a unit, a power of two with which squares are floats, and this.
     """
     part = slice(i, i + 2)
     values, errors = line.y[part], line.errors[(part,) * line.errors.ndim]
-    is_log = min(*values, 1.0 if threshold is None else threshold) > 0.0
-    powers = np.frexp(values if is_log else np.full(2, np.abs([*values, threshold or 0.0]).max()))[1]
-    scaled = np.ldexp(values, -powers)
-    scale = -powers if errors.ndim == 1 else -np.add.outer(powers, powers)
-    spread = np.diag(np.ldexp(errors, scale) ** 2) if errors.ndim == 1 else np.ldexp(errors, scale)
-    if is_log:
-        return np.log(values / (threshold or 1.0)), spread / np.outer(scaled, scaled), None
-    return scaled - np.ldexp(threshold or 0.0, -powers), spread, int(powers[0])
+    if min(*values, 1.0 if threshold is None else threshold) > 0.0:
+        return np.log(values / (threshold or 1.0)), _relative(errors, values), None
+    unit = float(np.ldexp(0.5, np.frexp(np.abs([*values, threshold or 0.0]).max())[1]))
+    return values / unit - (threshold or 0.0) / unit, _relative(errors, np.full(2, unit)), unit
 
 
 def _is_logarithmic(x: Array, unit: str) -> bool:
@@ -667,15 +660,13 @@ def power_law(x: Array, y: Array, errors: Array, samples: float = np.inf) -> dic
     relative, known = _relative_covariance(y, errors)
     whiten, covariance = _weigh(relative, samples)
     ones, u, v = whiten(np.ones_like(x)), whiten(np.log(x)), whiten(np.log(y))
-    total = ones @ ones
-    centre, mean = ones @ u / total, ones @ v / total
-    u, v = u - centre * ones, v - mean * ones  # about the centre, amplitude and exponent are not correlated
-    information = u @ u
-    exponent = u @ v / information
+    centre = ones @ u / (ones @ ones)
+    design = np.stack([u - centre * ones, ones], axis=1)  # about the centre the two are not correlated
+    solve = np.linalg.pinv(design)
+    exponent, mean = solve @ v
     dof = len(x) - 2
-    chi2 = _chi2(v - exponent * u, np.stack([ones, u], axis=1), covariance, relative, samples)
+    chi2 = _chi2(v - design @ (exponent, mean), design, covariance, relative, samples)
     unit = 1.0 if known else chi2 / dof if dof > 0 else 0.0
-    solve = np.stack([u / information, ones / total])
     spread = unit * float(small_sample_factor(samples)) * solve @ covariance @ solve.T
     exponent_error, relative_error = np.sqrt(np.diag(spread).clip(min=0.0))  # 0 but for rounding where all is shared
     both = exponent_error * relative_error
@@ -764,14 +755,17 @@ def levelling(x: Array, y: Array, errors: Array, fall: float, samples: float = n
     return law | {"chi2": chi2, "dof": dof}
 
 
+def _relative(errors: Array, y: Array) -> Array:
+    """Return the covariance (n, n) of values relative to ``y`` (n,), from their errors (n,) or covariance (n, n)."""
+    return np.diag((errors / y) ** 2) if errors.ndim == 1 else errors / y / y[:, None]
+
+
 def _relative_covariance(y: Array, errors: Array) -> tuple[Array, bool]:
     """Return the covariance of log y to first order, (n, n), from errors (n,) or a covariance (n, n) of y, and whether
     it is known: unless errors (n,) are all finite and positive, it is the unit matrix, for points of equal weight.
     """
-    if errors.ndim == 2:
-        return errors / np.outer(y, y), True
-    known = bool(np.all((errors > 0.0) & np.isfinite(errors)))
-    return np.diag((errors / y) ** 2) if known else np.eye(len(y)), known
+    known = errors.ndim == 2 or bool(np.all((errors > 0.0) & np.isfinite(errors)))
+    return _relative(errors, y) if known else np.eye(len(y)), known
 
 
 def _weigh(covariance: Array, samples: float) -> tuple[Callable[[Array], Array], Array]:

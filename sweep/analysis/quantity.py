@@ -8,6 +8,7 @@ from __future__ import annotations  # names of xarray, which is imported only wh
 import json
 from collections.abc import Collection, Container, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from decimal import Decimal
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from linksweep.sweep.contract import FEW, FEWEST_SAMPLES, Array, Status, SweepError, refused, shown, suggest
 from linksweep.sweep.contract.rows import LENGTH, count_status, small_sample_factor, unfinished_in_words
-from linksweep.sweep.formatting import ERRORS, RAGGED, first_of, is_missing, is_truth, meant, plain, prefixed, units_of
+from linksweep.sweep.formatting import ERRORS, RAGGED, first_of, is_missing, is_truth, plain, prefixed, units_of
 from linksweep.sweep.planning.grid import Grid, GridPoint
 from linksweep.sweep.stores.store import RUNNING, finished
 from linksweep.sweep.studies.points import labelled, read_cell
@@ -218,27 +219,19 @@ def samples_along(dataset: xr.Dataset, variable: str, dimension: str) -> float:
 
 
 def places_of_others(dataset: xr.Dataset, variable: str, dimension: str) -> list[int]:
-    """Return where along DIMENSION_other the covariance of a variable has each point along a dimension.
+    """Return where along DIMENSION_other the covariance of a variable has each point along a dimension, by its label.
 
-    These are places of the same labels.  Raises SweepError for a covariance without labels that is not of these points
-    in their order: its rows and columns are then those of no covariance.
+    Raises SweepError for a covariance without labels, or without those of these points.
     """
-    name, pair = f"{variable}_{COVARIANCE_SUFFIX}_{dimension}", (dimension, f"{dimension}_other")
-    if {*pair} <= {*dataset.coords}:
-        here, there = ([None if is_missing(v) else v for v in dataset[one].values.tolist()] for one in pair)
-        place = {label: i for i, label in enumerate(there)}
-        if len(place) == len(there) and place.keys() >= set(here):
-            return [place[label] for label in here]
-    covariance = np.moveaxis(dataset[name].values, [dataset[name].dims.index(d) for d in pair], (-2, -1))
-    if (n := covariance.shape[-1]) == covariance.shape[-2]:
-        with np.errstate(invalid="ignore", divide="ignore"):
-            sigma = np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
-            correlation = covariance / sigma[..., :, None] / sigma[..., None, :]
-        same = np.allclose(correlation, np.swapaxes(correlation, -1, -2), rtol=0.0, atol=1e-6, equal_nan=True)
-        if same and not (np.abs(correlation) > 1.0 + 1e-6).any():
-            return list(range(n))
-    both = " and ".join(pair)
-    raise SweepError(f"{name} is not of these points: cut or sort {both} alike, or open the store with linksweep.open")
+    pair = (dimension, f"{dimension}_other")
+    here, there = ([None if is_missing(label) else label for label in dataset[one].values.tolist()] for one in pair)
+    place = {label: i for i, label in enumerate(there)}
+    if pair[1] not in dataset.coords or (here != there and (len(place) < len(there) or not {*here} <= {*there})):
+        words = f"cut or sort {' and '.join(pair)} alike, or open the store with linksweep.open"
+        raise SweepError(
+            f"{variable}_{COVARIANCE_SUFFIX}_{dimension} does not have the labels of these points: {words}"
+        )
+    return list(range(len(here))) if here == there else [place[label] for label in here]
 
 
 def error_of_sum(
@@ -479,17 +472,16 @@ def indices(dataset: xr.Dataset, places: Mapping[str, Any]) -> dict[str, list[in
         dimension = str(dataset[name].dims[0])
         values = listed(dataset, name, [dimension])
         exact = list(dataset[name].values) if dataset[name].dtype.kind == "M" else values
-        hits = {i for i, value in enumerate(exact) if is_meant(value, wanted)} or meant(values, wanted)
-        if not hits and str(wanted).lower() == "none":  # as a text says that a parameter has no effect
-            hits = {i for i, value in enumerate(values) if value == ""}
+        texts = [text or "none" for text in plain(values)]  # a parameter without effect, too, is none
+        hits = {i for i, value in enumerate(exact) if is_meant(value, wanted)}
         if not hits and not isinstance(wanted, str):
             with suppress(ValueError):  # an axis with objects has their labels; some objects can have none
                 label = labelled(wanted).name
                 hits = {i for i, value in enumerate(values) if value == label}
-        if not hits:  # numbers beside None, of which the coordinate has texts
-            hits = {i for i, value in enumerate(values) if is_meant(read_cell(value, "float"), wanted)}
+        if not hits:  # as tables show it: with fewer digits, say, or as a number beside None, which are both texts
+            hits = {i for i, text in enumerate(texts) if is_meant(read_cell(text, "float"), str(wanted).lower())}
         if not hits:
-            there = first_of([text or "none" for text in dict.fromkeys(plain(values))], FEW)
+            there = first_of([*dict.fromkeys(texts)], FEW)
             problems.append(f"{name} = {wanted} is not in the grid, which has {there}")
         elif not chosen.setdefault(dimension, hits) & hits:
             problems.append(f"{name} = {wanted} is at no point with the other values that are given along {dimension}")
@@ -504,15 +496,13 @@ def is_meant(value: object, wanted: Any) -> bool:
     """Return whether a label or a value of an axis is what is wanted, perhaps as a text."""
     if is_missing(value):  # where a conditional parameter has no effect
         return str(wanted).lower() in ("nan", "none")
-    if isinstance(value, bool) and isinstance(wanted, str):
-        return wanted.lower() == str(value).lower()
-    with suppress(ValueError, TypeError):  # an array is equal to nothing
+    with suppress(ValueError, TypeError, ArithmeticError):  # an array is equal to nothing, and some texts are no number
         if isinstance(value, np.datetime64):
-            wanted = np.datetime64(wanted)
-        elif isinstance(wanted, str) and not isinstance(value, str):
-            # an integer beyond 2**53 is no float
-            wanted = int(wanted) if wanted.strip("+-").isdecimal() else float(wanted)
-        return bool(value == wanted)
+            return bool(value == np.datetime64(wanted))
+        if isinstance(value, bool) and isinstance(wanted, str):
+            return wanted.lower() == str(value).lower()
+        is_read = isinstance(wanted, str) and not isinstance(value, str)
+        return bool(Decimal(str(value)) == Decimal(wanted) if is_read else value == wanted)  # no float is beyond 2**53
     return False
 
 

@@ -37,7 +37,9 @@ def grid(value, error=None, x=N, name="n", unit="", status=None, published=None,
         variables["width_published_rounding"] = axes, roundings, {"units": "mas"}
     labels = np.array(["old", "new", *map(str, range(2, models))], dtype=object)
     about = {"title": "Widths", "study_name": "made-up", "claims": json.dumps(list(claims))}
-    return xr.Dataset(variables, {"model": labels, name: (name, x, {"units": unit})}, about).assign(more)
+    coords = {"model": labels, name: (name, x, {"units": unit})}
+    coords |= {f"{name}_other": x} if any("covariance" in key for key in more) else {}
+    return xr.Dataset(variables, coords, about).assign(more)
 
 
 def text_of(dataset):

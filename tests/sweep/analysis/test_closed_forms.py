@@ -26,7 +26,8 @@ def results(x, y, errors=None, covariance=None, samples=None, name="n", **attrib
     if covariance is not None:
         told = {} if samples is None else {"samples": samples}
         variables[f"width_mc_covariance_{name}"] = (name, f"{name}_other"), covariance, told
-    return xr.Dataset(variables, {name: np.asarray(x, dtype=float)}, {"title": "Widths", **attributes})
+    coords = {axis: np.asarray(x, dtype=float) for axis in variables.get(f"width_mc_covariance_{name}", [[name]])[0]}
+    return xr.Dataset(variables, coords, {"title": "Widths", **attributes})
 
 
 def drawn(seed, least=4):
