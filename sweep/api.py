@@ -151,7 +151,7 @@ def run(
         dataset, failures = run_study(loaded, place, resources, watcher, accept_code, most, beside)
     if failures:
         log.warning("%s: %s", place, harmless(watching.failed_points(failures)))
-    if verify and (differing := verified(loaded, place, verify).differing):
+    if verify and (differing := verified(loaded, place, verify)[1]):
         raise SweepError(differing, str(place))
     return _drawable(dataset.to_xarray())
 
@@ -394,7 +394,7 @@ def _study(study: str | Path | Mapping[str, Any] | Study | Callable[..., Any], o
 def _watching(study: Study, progress: watching.Progress | None) -> AbstractContextManager[watching.Progress]:
     """Return the object that is notified of a run's progress: that which is passed, or a bar where somebody sees it."""
     if progress is not None:
-        return nullcontext(progress or watching.SILENT)
+        return nullcontext(progress)
     if Console().is_jupyter:
         return watching.NotebookProgress(study, bar=False)
     if sys.stderr is not None and sys.stderr.isatty():

@@ -219,15 +219,15 @@ def print_verified(study: "linksweep.Study", store: "Location", points: int, sho
     """
     from linksweep.sweep.running.reproduce import verify
 
-    again = verify(study, store, points)
-    for sentence in again.differing:
+    computed, differing, other_code = verify(study, store, points)
+    for sentence in differing:
         click.echo(f"differs: {harmless(sentence)}", err=True)
-    for sentence in again.other_code:
+    for sentence in other_code:
         click.echo(OTHER_CODE + sentence, err=True)
-    if shown and not again.differing:
-        computed = counted(again.points, "point")
-        click.echo(f"{computed} computed again, alone and in two orders: every bit as in {store}", err=True)
-    return bool(again.differing)
+    if shown and not differing:
+        again = counted(computed, "point")
+        click.echo(f"{again} computed again, alone and in two orders: every bit as in {store}", err=True)
+    return bool(differing)
 
 
 @cli.command("Run", "Run a study into a store; print table and answer")

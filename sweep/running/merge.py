@@ -299,11 +299,13 @@ def _take(
     rows, values, seconds = ledger.rows, ledger.read(), ledger.seconds()
     refused: dict[bytes, Record] = {}
     other = _why_other(_first(sources), source)
-    lost = {} if other else lost_integers(values, dtype)
+    unfit = (
+        dict.fromkeys(rows.values(), f"not as at the first point: {other}") if other else lost_integers(values, dtype)
+    )
     keys: list[bytes] = []
     for key in sorted(rows, key=rows.__getitem__):
-        if other or rows[key] in lost:
-            why = f"{experiment.name}: {f'not as at the first point: {other}' if other else lost[rows[key]]}"
+        if rows[key] in unfit:
+            why = f"{experiment.name}: {unfit[rows[key]]}"
             refused[key[DIGEST]] = {"kind": "exception", "message": why, "traceback": "", "host": host(), "when": now()}
         elif key not in store.rows and (key[DIGEST] not in failed or _place(key) < _block_of(failed[key[DIGEST]])):
             keys.append(key)

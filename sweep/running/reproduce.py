@@ -44,17 +44,6 @@ class Reproduction:
     other_code: list[str]
 
 
-@dataclass(frozen=True)
-class Verified:
-    """How many points were computed again, a sentence for each that differs, and how today's code differs from that of
-    the store.
-    """
-
-    points: int
-    differing: list[str]
-    other_code: list[str]
-
-
 def study_of(where: Where | OpenStore, *, trust: bool = False) -> Study:
     """Return the study whose results a store holds, with its experiment imported.
 
@@ -109,9 +98,10 @@ def reproduce(study: Study, dataset: xr.Dataset, point: GridPoint) -> Reproducti
     return Reproduction(describe(study, point.parameters), result, status.word, differences, other_code)
 
 
-def verify(study: Study, where: Where, number: int) -> Verified:
+def verify(study: Study, where: Where, number: int) -> tuple[int, list[str], list[str]]:
     """Compute ``number`` finished points of a store again, chosen by their digests: alone in new processes, in their
-    order and in the reverse order, and compare every bit with what is stored.
+    order and in the reverse order, and compare every bit with what is stored.  Return how many there were, a sentence
+    for each that differs, and how today's code differs from that of the store.
 
     Results of a vectorised function are compared within its tolerance.  Raises SweepError as `OpenStore`, and for a
     function that cannot be sent to another process.
@@ -135,7 +125,7 @@ def verify(study: Study, where: Where, number: int) -> Verified:
         if any(_differences(stored, again, tolerance) for again, _ in both):  # of a point that fails, its status
             failed = next((f"; computed again it fails: {why}" for _, why in both if why), "")
             differing.append(f"{describe(study, point.parameters)} has other results than in the store{failed}")
-    return Verified(len(chosen), differing, differences_of_code(records_of(opened.attributes), study))
+    return len(chosen), differing, differences_of_code(records_of(opened.attributes), study)
 
 
 def _at(dataset: xr.Dataset, grid: Grid, point: GridPoint) -> xr.Dataset:

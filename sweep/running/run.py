@@ -7,8 +7,8 @@ import json
 import math
 import time
 from bisect import bisect_right
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence, Set
-from contextlib import AbstractContextManager, ExitStack, contextmanager, nullcontext, suppress
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence, Set
+from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
@@ -63,8 +63,7 @@ AGAIN = "is to be computed again where "
 
 def records_of(attributes: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return the records of a store in their order; none for a store that keeps none yet."""
-    records: list[dict[str, Any]] = json.loads(attributes.get(CODE, "[]"))
-    return records
+    return list(json.loads(attributes.get(CODE, "[]")))
 
 
 def differences_of_code(records: Sequence[Mapping[str, Any]], study: Study) -> list[str]:
@@ -95,17 +94,18 @@ def check_code(store: Store, study: Study, gone: Collection[bytes] = (), accept_
     without it.
     """
     records = records_of(store.attributes)
+    if not store.rows or not records:
+        return
     ways = "--fresh (fresh=True) starts anew, -o (store=NAME) names another store"
-    if store.rows and records:
-        old, new = records[-1]["code"], code_of(study.experiment_reference, study.experiment)
-        was, now = defaults_alone(old, new), defaults_alone(new, old)
-        if was != now:
-            meaning = f"was made by other code with other defaults, for which points at them would be taken; {ways}"
-            raise SweepError([meaning, *code_differences(was, now, "in the store", "now")], str(store.location))
+    old, new = records[-1]["code"], code_of(study.experiment_reference, study.experiment)
+    was, now = defaults_alone(old, new), defaults_alone(new, old)
+    if was != now:
+        meaning = f"was made by other code with other defaults, for which points at them would be taken; {ways}"
+        raise SweepError([meaning, *code_differences(was, now, "in the store", "now")], str(store.location))
     if gone:
         last = max((row for key, row in store.rows.items() if key[:DIGEST_BYTES] not in gone), default=-1)
         records = [record for record in records if record["first_row"] <= last]
-    if store.rows and not accept_code and (changes := differences_of_code(records, study)):
+    if not accept_code and (changes := differences_of_code(records, study)):
         meaning = (
             "was made by other code, whose numbers would be mixed up with those of today's; --redo old (in Python "
             'redo="old") computes its points again, --accept-code (accept_code=True) goes on and records for each '
@@ -116,12 +116,12 @@ def check_code(store: Store, study: Study, gone: Collection[bytes] = (), accept_
 
 def record_code(store: Store, study: Study, say: Callable[[str], None]) -> None:
     """Record which code makes the blocks from now on, and tell the user if it has changed."""
-    made = records_with_rows(store)
-    changes = differences_of_code(made, study)
+    records = records_with_rows(store)
+    changes = differences_of_code(records, study)
     for sentence in changes:
         say(f"other code goes on with {store.location}: {sentence}")
-    is_same = made and not changes
-    begin_code(store, made[-1]["code"] if is_same else code_of(study.experiment_reference, study.experiment))
+    is_new = changes or not records
+    begin_code(store, code_of(study.experiment_reference, study.experiment) if is_new else records[-1]["code"])
 
 
 def records_with_rows(store: Store) -> list[dict[str, Any]]:
@@ -356,7 +356,8 @@ class Writer:
     """Takes the results of tasks, in whatever order they arrive, and puts what more they call for into ``pending``.
 
     ``postponed`` gives contexts in which interruptions wait, so that none leaves the ledger half-changed.  As a context
-    manager it makes results durable also while this thread waits for the next ones, or computes them.
+    manager it makes results durable also while this thread waits for the next ones, or computes them, and, where an
+    exception leaves it, writes everything that was taken.
     """
 
     def __init__(
@@ -365,12 +366,15 @@ class Writer:
         store: Store,
         postponed: Callable[[], AbstractContextManager[None]] = nullcontext,
         further: Mapping[str, Any] | None = None,
+        is_begun: bool = True,
     ) -> None:
-        """Start with an open store whose ledger the accumulator holds; ``further`` attributes go into the dataset."""
+        """Start with an open store whose ledger the accumulator holds; ``further`` attributes go into the dataset.  A
+        store that is not yet ``is_begun`` goes again where the first results are refused.
+        """
         plan = accumulator.plan
         if problems := problems_of_results(plan.grid.study):
             raise _RefusedError(problems, plan.grid.study.source)
-        self.accumulator, self.store = accumulator, store
+        self.accumulator, self.store, self._is_begun = accumulator, store, is_begun
         self.pending = Pending(plan, accumulator)
         self._postponed = postponed
         kept = {key: store.attributes[key] for key in KEPT if key in store.attributes}
@@ -392,8 +396,15 @@ class Writer:
         Thread(target=self._flush_late, name="flush", daemon=True).start()
         return self
 
-    def __exit__(self, *_error: object) -> None:
+    def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
         self._ended.set()
+        if isinstance(error, _RefusedError) and not self._is_begun and len(self.store.rows) < FIRST:
+            with writing(self.store.location):
+                self.store.location.clear()  # as if nothing had been begun
+        elif error is not None:
+            with suppress(SweepError, OSError):  # the latter of Zarr, where no more files can be opened
+                self.stop()
+            self.require_whole(error.problems if isinstance(error, SweepError) else ())
 
     @property
     def plan(self) -> Plan:
@@ -648,7 +659,9 @@ class Session:
 
     def __init__(self, where: Where, accumulator: Accumulator, store: Store | None = None) -> None:
         """Start with what the open ``store`` has, if there is one."""
-        self._where, self.accumulator, self.store, self._is_new = where, accumulator, store, store is None
+        self._where, self.accumulator, self.store = where, accumulator, store
+        # How much there is of what was asked for, and how much is pending; of all points if more than these are.
+        self.survey = accumulator.survey
         self._asked: Study | None = None
         self.is_left_alone = False
 
@@ -692,6 +705,8 @@ class Session:
         session = cls(where, accumulator, store)
         if whole is not study:
             session._asked = study
+            asked = session.asked().survey
+            session.survey = asked if asked.pending.blocks == session.survey.pending.blocks else session.survey
             now = {"study_digest": whole.digest(), "error_convention": CONVENTION, BLOCKS: len(store.rows)}
             # What changes no point may be other than in the store, such as a claim, but for the name of a curve.
             now |= {"published_digest": whole.published.digest} if whole.published else {}
@@ -708,12 +723,6 @@ class Session:
     def study(self) -> Study:
         """The study, with what is known of its results."""
         return self.accumulator.plan.grid.study
-
-    @property
-    def survey(self) -> Survey:
-        """How much there is of what was asked for, and how much is pending; of all points if more than these are."""
-        whole, asked = self.accumulator.survey, self.asked().survey
-        return asked if asked.pending.blocks == whole.pending.blocks else whole
 
     def asked(self) -> Accumulator:
         """Return what is there now of the points of the study that was asked for alone."""
@@ -748,7 +757,8 @@ class Session:
         survey, too_many = self.survey, ""
         total, pending = survey.total.points, survey.pending
         failing = FailureCount(self.study, total, total - pending.points, most=max_failures)
-        writer = Writer(self.accumulator, self._begun(progress), postponed)
+        is_begun = self.store is not None
+        writer = Writer(self.accumulator, self._begun(progress), postponed, is_begun=is_begun)
         writer.declared_files = files_read(self.study.experiment_reference)
         study, keep = self.study, writer.store.keep
 
@@ -756,7 +766,7 @@ class Session:
             tasks = writer.pending.take(count, failing.most_at_once)
             return [Batch(study, works, keep) for works in tasks]
 
-        with self._kept(writer):
+        with writer:
             results = execute(take)
             # A labelled dataset from the start; not an empty one, for which the workers would wait, in a short run.
             short = TARGET if survey.stored.blocks else 256 * TARGET
@@ -765,18 +775,17 @@ class Session:
             elif pending.cost > TARGET:  # now, while workers begin: the end of the run would wait for it
                 with postponed():  # a library that is half imported writes nothing
                     import_module("zarr.storage")
-            with writer:
-                for batch, result in results:
-                    if result.refused:
-                        raise _RefusedError(f"{result.refused}.")
-                    works = writer.pending.settle(batch.works, result.seconds, result.cold)
-                    with postponed():  # so that an interruption leaves nothing taken that was not told
-                        taken = writer.take(works, result)
-                        progress.advance(works, result, taken)
-                    writer.write_when_due()
-                    failing.take(taken.ended, taken.failed, taken.begun)
-                    if too_many := failing.too_many():
-                        break
+            for batch, result in results:
+                if result.refused:
+                    raise _RefusedError(f"{result.refused}.")
+                works = writer.pending.settle(batch.works, result.seconds, result.cold)
+                with postponed():  # so that an interruption leaves nothing taken that was not told
+                    taken = writer.take(works, result)
+                    progress.advance(works, result, taken)
+                writer.write_when_due()
+                failing.take(taken.ended, taken.failed, taken.begun)
+                if too_many := failing.too_many():
+                    break
             del results  # ends what nobody takes any more
             dataset = writer.write(final=not too_many)
         writer.require_whole()
@@ -801,21 +810,6 @@ class Session:
         if unused := len(store.rows) - self.accumulator.survey.stored.blocks:
             progress.say(f"{unused:,} blocks in the store are not part of this study; they are kept")
         return store
-
-    @contextmanager
-    def _kept(self, writer: Writer) -> Iterator[None]:
-        """Make everything that was taken durable, and write it, where an exception leaves this block."""
-        try:
-            yield
-        except BaseException as error:
-            if isinstance(error, _RefusedError) and self._is_new and len(writer.store.rows) < FIRST:
-                with writing(writer.store.location):
-                    writer.store.location.clear()  # as if nothing had been begun
-                raise
-            with suppress(SweepError, OSError):  # the latter of Zarr, where no more files can be opened
-                writer.stop()
-            writer.require_whole(error.problems if isinstance(error, SweepError) else ())
-            raise
 
 
 def plan_study(study: Study, store: Where, accept_code: bool = False) -> tuple[Plan, Survey]:
