@@ -632,12 +632,15 @@ def print_headlines(dataset: Any, as_json: bool) -> None:
         print_tables([headline_table(dataset)], notes(dataset))
 
 
-def drawing_styles() -> Any:
-    """Return `linksweep.sweep.plots.style`; raises SweepError where matplotlib, which it needs, is missing."""
+def with_extra(extra: str, package: str, module: str) -> Any:
+    """Return a module of ours; raises SweepError where a package of the extra, which it needs, is missing."""
     from linksweep.sweep.contract import needed
 
-    with needed("matplotlib", "plot"):
-        return import_module("linksweep.sweep.plots.style")
+    with needed(package, extra):
+        return import_module(f"linksweep.sweep.{module}")
+
+
+drawing_styles = partial(with_extra, "plot", "matplotlib", "plots.style")
 
 
 def require_writable(path: Path) -> None:

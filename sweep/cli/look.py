@@ -6,7 +6,7 @@ import time
 from collections.abc import Iterable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
-from importlib import import_module
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -263,12 +263,7 @@ class AskedStores:
         return [store for _, store in places.values()]
 
 
-def _pages() -> Any:
-    """Return `linksweep.sweep.report.page`; raises SweepError where a package that it needs is missing."""
-    from linksweep.sweep.contract import needed
-
-    with needed("more packages", "report"):
-        return import_module("linksweep.sweep.report.page")
+_pages = partial(cli.with_extra, "report", "more packages", "report.page")
 
 
 @cli.command("Look", "Write one HTML page with everything")

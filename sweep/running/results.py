@@ -145,7 +145,7 @@ def assemble(plan: Plan, accumulator: Accumulator, location: Location) -> Labell
     for output in experiment.outputs:
         if output.name in study.axes:
             continue  # the coordinate of that name has these values already
-        shape, within, missing = experiment.shape_of(output), None, missing_of(results.get(output.name))
+        shape, within = experiment.shape_of(output), None
         if output.name in ragged and output.name in results:
             places = np.indices(shape)[output.dims.index(ragged[output.name])]
             within = places < results[output.name + LENGTH].reshape(-1, *[1] * len(shape))
@@ -155,7 +155,7 @@ def assemble(plan: Plan, accumulator: Accumulator, location: Location) -> Labell
             values: Any = Stored(location, chunks, (*grid.shape, *shape), large[output.name])
             missing = absent(values.dtype)
         else:
-            values = typed_array(results.get(output.name), done, shape, missing, within)
+            values, missing = typed_array(results.get(output.name), done, shape, within)
         variables[output.name] = _variable(grid, values, output)
         if output.name in results and results[output.name].dtype.kind == "b" and values.dtype.kind == "f":
             variables[output.name].attrs.update(TRUTH)
@@ -229,20 +229,20 @@ def missing_of(results: NDArray[Any] | None) -> Any:
 def typed_array(
     results: NDArray[Any] | None,
     done: NDArray[np.bool_],
-    shape: tuple[int, ...],
-    missing: Any,
-    within: NDArray[np.bool_] | None,
-) -> NDArray[Any]:
+    shape: tuple[int, ...] = (),
+    within: NDArray[np.bool_] | None = None,
+) -> tuple[NDArray[Any], Any]:
     """Return an array (points, *shape) with the results (done points, *shape) at the points that are done, where they
-    are ``within`` their lengths, and what stands for ``missing`` ones elsewhere; truth values become floats then.
+    are ``within`` their lengths, and what is in place of missing ones elsewhere; truth values become floats then.
     """
+    missing = missing_of(results)
     if results is None:
-        return np.full((len(done), *shape), np.nan)
+        return np.full((len(done), *shape), missing), missing
     if done.all() and within is None:
-        return np.array(results.reshape(len(done), *shape))
+        return np.array(results.reshape(len(done), *shape)), missing
     values = np.full((len(done), *shape), missing, dtype=float if results.dtype.kind == "b" else results.dtype)
     values[done] = results if within is None else np.where(within, results, missing)
-    return values
+    return values, missing
 
 
 def masked(dataset: Labelled) -> Labelled:
@@ -330,18 +330,14 @@ def _coordinates(grid: Grid) -> dict[str, Variable]:
         for name, along in zip(axes, zip(*grid.rows[dimension], strict=True), strict=True):
             parameter = experiment.parameter(name)
             has_own_place = name in study.alone or name not in study.when
-            missing = [one is NO_EFFECT for one in along] if has_own_place else grid.without(name) == 1.0
-            kinds = {type(value) for value, is_missing in zip(along, missing, strict=True) if not is_missing}
+            there = np.array([one is not NO_EFFECT for one in along]) if has_own_place else grid.without(name) != 1.0
+            known = [value for value, is_there in zip(along, there, strict=True) if is_there]
+            kinds = set(map(type, known))
             is_text = parameter.kind == "str" or not (kinds <= {int, float} or kinds == {bool})
-            values = [
-                ("" if is_text else np.nan) if is_missing else str(value) if is_text else value
-                for value, is_missing in zip(along, missing, strict=True)
-            ]
-            data = np.array(values, dtype=object if is_text else None)
-            coordinates[name] = Variable((dimension,), data, _attributes(parameter))
-            if kinds == {int} and any(missing):  # which a float may not hold
-                fill = missing_of(whole := np.array([value if type(value) is int else 0 for value in along]))
-                coordinates[name].data, coordinates[name].encoding[FILL] = np.where(missing, fill, whole), fill
+            array = np.array(list(map(str, known)) if is_text else known, dtype=object if is_text else None)
+            data, fill = typed_array(array, there)
+            gaps = {FILL: fill} if data.dtype.kind == "i" and not there.all() else {}
+            coordinates[name] = Variable((dimension,), data, _attributes(parameter), gaps)
     for dimension, (values, unit, meaning) in experiment.dimension_coordinates().items():
         about = described(unit, meaning or dimension.replace("_", " "))
         coordinates.setdefault(dimension, Variable((dimension,), np.asarray(values), about))
