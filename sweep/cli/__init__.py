@@ -81,14 +81,14 @@ def output(help: str, **more: Any) -> Any:  # noqa: A002
 
 
 def parsed(parse: Callable[[str], Any]) -> Any:
-    """Return a callback of an option that parses its value; its ValueError is a usage error."""
+    """Return a callback of an option that parses its value; its ValueError or OverflowError is a usage error."""
 
     def callback(context: click.Context, _parameter: click.Parameter, value: str | None) -> Any:
         if value is None or context.resilient_parsing:
             return None
         try:
             return parse(value)
-        except ValueError as error:
+        except (ValueError, OverflowError) as error:
             raise click.BadParameter(str(error)) from error
 
     return callback

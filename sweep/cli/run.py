@@ -58,10 +58,7 @@ def _bytes(text: str) -> int:
     # The same words as in Dask's own configuration.
     from dask.utils import parse_bytes
 
-    try:
-        return int(parse_bytes(text))
-    except (ValueError, OverflowError) as error:
-        raise ValueError(f"{text!r} is no number of bytes like 2GB or 500MiB") from error
+    return int(parse_bytes(text))
 
 
 def resources(
@@ -414,13 +411,10 @@ def status(store: "Location" = cli.STORE, as_json: bool = cli.JSON) -> None:
     if points["missing"] and "realisations" in report:
         share = f", {100 * report['realisations_done'] // report['realisations']} % of the realisations"
     cli.print_wrapped(f"{state}: {progress_in_words(points['done'], points['failed'], total, part)}{share}")
-    for key in ("note", "lost_parts"):
-        if key in report:
-            cli.print_wrapped(f"{key.replace('_', ' ')}: {report[key]}")
-    for number, one in enumerate(report["rounds"], 1):
-        cli.print_wrapped(f"round {number} of sweep refine: {one}", later="   ")
-    for sentence in report["warnings"]:
-        cli.print_wrapped(f"warning: {sentence}")
+    remarks = [f"{key.replace('_', ' ')}: {report[key]}" for key in ("note", "lost_parts") if key in report]
+    remarks += [f"round {number} of sweep refine: {one}" for number, one in enumerate(report["rounds"], 1)]
+    for remark in [*remarks, *(f"warning: {sentence}" for sentence in report["warnings"])]:
+        cli.print_wrapped(remark, later="   ")
     if failures := report["failures"]:
         cli.put(f"\n{counted(len(failures), 'point')} failed:")
         for reason in progress.Reasons(failures).in_words():

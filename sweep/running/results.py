@@ -356,8 +356,7 @@ def _published(grid: Grid) -> dict[str, Variable]:
     origin, rows = study.published.about.model_dump(exclude={"file", "where"}, exclude_none=True), study.published.rows
     named = [name for name in study.experiment.defaults() if name in rows[0] and name not in outputs]
     where = {**study.experiment.defaults(), **study.published.where}
-    several = (name for name, values in study.axes.items() if len(set(map(_as_printed, values))) > 1)
-    lacking = [name for name in several if name not in rows[0]]
+    lacking = [n for n, some in study.axes.items() if n not in rows[0] and len(set(map(_as_printed, some))) > 1]
     here = {n: {_as_printed(where[n]), _as_printed(None if n in study.when else where[n])} for n in lacking}
     origin |= {"without_column": ", ".join(here)} if here else {}
     there = defaultdict[tuple[float | str, ...], list[int]](list)

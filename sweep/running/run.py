@@ -27,7 +27,7 @@ from linksweep.sweep.executing.task import Batch, Executor, Failure, TaskResult
 from linksweep.sweep.formatting import counted, host, now
 from linksweep.sweep.interrupt import watched
 from linksweep.sweep.planning.accumulator import TUNED, Accumulator, Pending
-from linksweep.sweep.planning.grid import AT_ONCE, Grid, GridPoint, failures_by_place, make_grid
+from linksweep.sweep.planning.grid import Grid, GridPoint, failures_by_place, make_grid
 from linksweep.sweep.planning.plan import TARGET, Plan, PlanSize, Survey, Work
 from linksweep.sweep.planning.union import REFINED, UNITED, united, with_numbers_of
 from linksweep.sweep.running.progress import FIRST, SILENT, FailureCount, MaxFailures, Progress, Taken
@@ -382,9 +382,7 @@ class Writer:
         self._begun = self._flushed = self._written = time.monotonic()
         self._writing = 0.0
         self._long_write = False
-        done = np.flatnonzero(accumulator.status == Status.DONE)
-        for start in range(0, len(done), AT_ONCE):
-            self._refuse_results(done[start : start + AT_ONCE].tolist())
+        self._refuse_results(np.flatnonzero(accumulator.status == Status.DONE).tolist())
         self.declared_files: Mapping[str, Path] = {}  # that the function reads, by name
         self._stamps: dict[str, float] = {}
         self._steady = store.next_row
