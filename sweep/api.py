@@ -6,7 +6,7 @@ import logging
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,17 +16,17 @@ import xarray as xr
 from rich.console import Console
 
 from linksweep.sweep.analysis.answer import answer_in_short, completeness
-from linksweep.sweep.contract import Experiment, SweepError, refused, shown
+from linksweep.sweep.contract import Experiment, SweepError, shown
 from linksweep.sweep.executing.pools import NO_LIMITS, Limits, PoolName, Resources
 from linksweep.sweep.formatting import harmless, with_micro_signs
 from linksweep.sweep.result import Result, open_result
 from linksweep.sweep.running import progress as watching
 from linksweep.sweep.running.reproduce import verify as verified
-from linksweep.sweep.running.run import ALL, Beside, run_study
+from linksweep.sweep.running.run import ALL, Beside, run_study, with_part
 from linksweep.sweep.stores.location import Where, default_store, located, store_named
 from linksweep.sweep.studies.points import plain_value
 from linksweep.sweep.studies.reader import live_study, load_study, reference_in, study_of_function
-from linksweep.sweep.studies.study import Part, Study
+from linksweep.sweep.studies.study import Study
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -140,26 +140,16 @@ def run(
     beside = Beside(retry, fresh, only, keep, redo)
     options = {"axes": axes, "fixed": fixed, "sampling": sampling, "title": title}
     loaded = _study(study, options | {"points": points, "labels": labels, "exclude": exclude, "when": when})
-    place = located(store or default_store(loaded.name))
-    loaded = replace(loaded, part=_parsed("part", part, Part.parsed))
-    if loaded.part is not None:
-        place = located(loaded.part.place(place))
+    loaded, place = with_part(loaded, store or default_store(loaded.name), part)
     file, workers = None if cluster is None else Path(cluster), plain_value(workers)
     resources = Resources(workers, pool, scheduler, cluster=file, limits=limits, dashboard=dashboard, client=client)
-    most = _parsed("max_failures", max_failures, watching.MaxFailures.parsed)
     with _watching(loaded, progress) as watcher:
-        dataset, failures = run_study(loaded, place, resources, watcher, accept_code, most, beside)
+        dataset, failures = run_study(loaded, place, resources, watcher, accept_code, max_failures, beside)
     if failures:
         log.warning("%s: %s", place, harmless(watching.failed_points(failures)))
     if verify and (differing := verified(loaded, place, verify)[1]):
         raise SweepError(differing, str(place))
     return _drawable(dataset.to_xarray())
-
-
-def _parsed(name: str, value: Any, parse: Callable[[Any], Any]) -> Any:
-    """Return what the value of an argument says, None for None; raises SweepError that names the argument."""
-    with refused(ValueError, said=f"{name} = "):
-        return None if value is None else parse(value)
 
 
 def refine(

@@ -11,7 +11,7 @@ from contextlib import contextmanager, nullcontext
 from types import FrameType
 from typing import Any
 
-SIGNALS = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
+SIGNALS: list[int] = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
 
 # Seconds after which an interrupt that the main thread is not handling must have been dropped.
 LOST_S = 0.2

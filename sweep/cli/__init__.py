@@ -22,7 +22,7 @@ import textwrap
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -39,7 +39,6 @@ from linksweep.sweep.studies import built_in_studies
 
 if TYPE_CHECKING:
     from linksweep.sweep.stores.location import Location
-    from linksweep.sweep.studies.study import Part
     from linksweep.sweep.table_writer import Table
 
 # The type of the path of a file or folder, which need not exist.
@@ -178,20 +177,6 @@ SETTINGS = many("Set a parameter or key of sampling: n_sim=500.", "--set", metav
 DESIGNS = "e.g. sobol:256 or sobol:256:SEED; latin-hypercube, halton, random, saltelli, morris."
 
 
-@parsed
-def _part(text: str) -> "Part":
-    from linksweep.sweep.studies.study import Part
-
-    return Part.of_task(os.environ) if text == "array" else Part.parsed(text)
-
-
-PART = opt(
-    "Compute only part K of N, into STORE.part-K-of-N; array: the part of this task of a SLURM job array.",
-    metavar="K/N|array",
-    callback=_part,
-)
-
-
 @dataclass(frozen=True)
 class AskedStudy:
     """A study as the command line names it: its overrides, which are those of `load_study`, where its store is to be,
@@ -212,15 +197,15 @@ class AskedStudy:
     )
     trust: bool = TRUST
 
-    def load(self, part: "Part | None" = None) -> "tuple[linksweep.Study, Location]":
+    def load(self, part: str | None = None) -> "tuple[linksweep.Study, Location]":
         """Return the study, or a part of it, and where its store is; raises SweepError for one inside a store that is
         not trusted.
         """
-        from linksweep.sweep.stores.location import default_store, located
+        from linksweep.sweep.running.run import with_part
+        from linksweep.sweep.stores.location import default_store
 
         study = load_trusted(self.study, self.trust, **self.overrides)
-        store = self.output or located(default_store(study.name))
-        return replace(study, part=part), store if part is None else located(part.place(store))
+        return with_part(study, self.output or default_store(study.name), part)
 
     def stored(self) -> "tuple[linksweep.Study, Location]":
         """Return the study of an existing store, named in its place, and the store; raises SweepError as `load`."""

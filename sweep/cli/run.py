@@ -31,9 +31,8 @@ from linksweep.sweep.tie.options import FORECAST, TIE, ApplyOptions, ForecastOpt
 if TYPE_CHECKING:
     import xarray as xr
 
-    from linksweep.sweep.running import progress, results, run as runs
+    from linksweep.sweep.running import results, run as runs
     from linksweep.sweep.stores.location import Location
-    from linksweep.sweep.studies.study import Part
 
 EXISTING = click.Path(exists=True, dir_okay=False, path_type=Path)
 
@@ -156,13 +155,6 @@ def _logged(watching: Watching) -> Iterator[None]:
             raise
 
 
-@parsed
-def _max_failures(text: str) -> "progress.MaxFailures":
-    from linksweep.sweep.running.progress import MaxFailures
-
-    return MaxFailures.parsed(text)
-
-
 @dataclass(frozen=True)
 class Running:
     """How a study is run: on what, what the user sees (no results if ``as_json`` is None), and what it may continue."""
@@ -172,9 +164,7 @@ class Running:
     as_json: bool | None = cli.JSON
     break_lock: bool = cli.BREAK_LOCK
     accept_code: bool = cli.ACCEPT_CODE
-    max_failures: "progress.MaxFailures | None" = opt(
-        "Stop when more points fail.  [default: if the first 20 fail alike]", metavar="N|P%", callback=_max_failures
-    )
+    max_failures: str | None = opt("Stop when more points fail.  [default: if the first 20 fail alike]", metavar="N|P%")
 
 
 def run_with_progress(
@@ -237,7 +227,10 @@ def run(
     keep: bool = flag("Let constants that differ from the store's become axes."),
     redo: str = opt('Compute points again: "x>2 and y==8", or old, those of other code.', metavar="IF", default=""),
     verify: int = opt("At the end compute N points again.", metavar="N", type=click.IntRange(0), default=0),
-    part: "Part | None" = cli.PART,
+    part: str | None = opt(
+        "Compute only part K of N, into STORE.part-K-of-N; array: the part of this task of a SLURM job array.",
+        metavar="K/N|array",
+    ),
 ) -> None:
     """Run STUDY (a built-in name, a TOML file or FILE.py:FUNCTION) into a Zarr store, and print the table.
 

@@ -18,7 +18,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from linksweep.sweep.contract import shown
+from linksweep.sweep.contract import SweepError, shown
 from linksweep.sweep.executing.task import Failure, TaskResult
 from linksweep.sweep.formatting import ESCAPED, counted, harmless, in_words, now, per_second, typed, without_secrets
 from linksweep.sweep.interrupt import RunInterruptedError, how_ended
@@ -54,10 +54,11 @@ class MaxFailures:
 
     @classmethod
     def parsed(cls, text: "int | str") -> "MaxFailures":
-        """Return the limit that a user gives; raises ValueError for anything else."""
+        """Return the limit that a user gives; raises SweepError for anything else."""
         match = re.fullmatch(r"\s*(\d{1,15})\s*|\s*(\d{1,3}(?:\.\d*)?)\s*%\s*", str(text))
         if isinstance(text, bool) or match is None or (match[2] and float(match[2]) > 100.0):
-            raise ValueError(f"{shown(text)}: must be a number of points, like 10, or a percentage, like '5%'")
+            rule = "must be a number of points, like 10, or a percentage, like '5%'"
+            raise SweepError(f"max_failures = {shown(text)}: {rule}")
         return cls(int(match[1])) if match[1] else cls(percent=float(match[2]))
 
     def __str__(self) -> str:

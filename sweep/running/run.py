@@ -5,6 +5,7 @@ every second, and as a dataset every few seconds.
 
 import json
 import math
+import os
 import time
 from bisect import bisect_right
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence, Set
@@ -19,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from linksweep.sweep.code import as_recorded_where_unsteady, code_differences, code_of, digest_of, files_read
-from linksweep.sweep.contract import Experiment, Named, Rows, Status, SweepError, Unknown, shown
+from linksweep.sweep.contract import Experiment, Named, Rows, Status, SweepError, Unknown, refused, shown
 from linksweep.sweep.contract.rows import DIGEST_BYTES, Block, ledger_key, lost_integers
 from linksweep.sweep.executing.executor import choose_executor
 from linksweep.sweep.executing.pools import ANY_RESOURCES, Resources, available_cores
@@ -33,7 +34,7 @@ from linksweep.sweep.planning.union import REFINED, UNITED, united, with_numbers
 from linksweep.sweep.running.progress import FIRST, SILENT, FailureCount, MaxFailures, Progress, Taken
 from linksweep.sweep.running.results import Labelled, add_covariances, assemble, assemble_samples, code_variable, masked
 from linksweep.sweep.stores.ledger import Record
-from linksweep.sweep.stores.location import Where, locked, writing
+from linksweep.sweep.stores.location import Location, Where, located, locked, writing
 from linksweep.sweep.stores.store import BLOCKS, CODE, OpenStore, Store, create_store, replace_store, seen, store_at
 from linksweep.sweep.studies.reader import problems_of_results
 from linksweep.sweep.studies.record import (
@@ -46,7 +47,7 @@ from linksweep.sweep.studies.record import (
     recorded,
     recorded_study,
 )
-from linksweep.sweep.studies.study import CONVENTION, PART, Study
+from linksweep.sweep.studies.study import CONVENTION, PART, Part, Study
 from linksweep.sweep.tables.columns import Flags, content_digest, rows_where
 from linksweep.sweep.tables.reader import from_frame
 
@@ -810,6 +811,17 @@ class Session:
         return store
 
 
+def with_part(study: Study, store: Where, part: str | None) -> tuple[Study, Location]:
+    """Return a part of a study, as K/N or as that of this task of a job array, and where its store is; without a part
+    the study, and the place of its store.  Raises SweepError for text that names no part.
+    """
+    if part is None:
+        return study, located(store)
+    with refused(ValueError, said="part = "):
+        one = Part.of_task(os.environ) if part == "array" else Part.parsed(part)
+    return replace(study, part=one), located(one.place(store))
+
+
 def plan_study(study: Study, store: Where, accept_code: bool = False) -> tuple[Plan, Survey]:
     """Return the plan of a study and what of it is pending in its store, writing nothing; raises SweepError for bad
     input, and for a store that other code made unless ``accept_code``.
@@ -857,7 +869,7 @@ def run_study(
     resources: Resources = ANY_RESOURCES,
     progress: Progress = SILENT,
     accept_code: bool = False,
-    max_failures: MaxFailures | None = None,
+    max_failures: int | str | None = None,
     beside: Beside = ALL,
     break_lock: bool = False,
 ) -> tuple[Labelled, dict[str, str]]:
@@ -870,6 +882,7 @@ def run_study(
     says); with everything that was finished in the store TooManyFailuresError where more than ``max_failures`` fail, by
     default where the first points all fail for one reason, and RunInterruptedError on SIGINT, SIGTERM and SIGHUP.
     """
+    most = None if max_failures is None else MaxFailures.parsed(max_failures)
     grid = make_grid(study)
     for sentence in grid.warnings:
         progress.say(f"warning: {sentence}")
@@ -889,4 +902,4 @@ def run_study(
         progress.start(session.survey, place.words, place.workers)
         if place.dashboard:
             progress.say(f"Dask dashboard: {place.dashboard}")
-        return session.compute(execute, progress, max_failures, interruptions.postponed)
+        return session.compute(execute, progress, most, interruptions.postponed)
