@@ -129,27 +129,12 @@ def passed(**declared: Any) -> Any:
     return Group(dict, declared)
 
 
-def _not_empty(text: str) -> str:
-    if not text:
-        raise ValueError("is empty; give the path of a store, or s3://BUCKET/NAME")
-    return text
-
-
-@parsed
-def place(text: str) -> "Location":
-    """Return the place of a store."""
-    from linksweep.sweep.stores.location import located
-
-    return located(_not_empty(text))
-
-
 @parsed
 def _named(text: Any) -> Any:
     """Return the place of what names an existing store, or the study whose store it is, or of several of these."""
     from linksweep.sweep.stores.location import store_named
 
-    named = [store_named(_not_empty(one)) for one in (text if isinstance(text, tuple) else (text,))]
-    return tuple(named) if isinstance(text, tuple) else named[0]
+    return tuple(map(store_named, text)) if isinstance(text, tuple) else store_named(text)
 
 
 def _studies(_context: click.Context, _parameter: click.Parameter, incomplete: str) -> list[CompletionItem]:
@@ -192,9 +177,7 @@ class AskedStudy:
         ranges=many("A range of the design: 0.1:0.5, 1:100:log or a,b.", "--range", metavar="NAME=SPEC"),
         exclude=many("Leave points out: kernel=linear,gamma>1.", "--exclude", metavar="CONDITIONS"),
     )
-    output: "Location | None" = output(
-        "The store: a path or s3://BUCKET/NAME.  [default: results/NAME.zarr]", type=str, callback=place
-    )
+    output: str | None = output("The store: a path or s3://BUCKET/NAME.  [default: results/NAME.zarr]", type=str)
     trust: bool = TRUST
 
     def load(self, part: str | None = None) -> "tuple[linksweep.Study, Location]":
@@ -205,7 +188,7 @@ class AskedStudy:
         from linksweep.sweep.stores.location import default_store
 
         study = load_trusted(self.study, self.trust, **self.overrides)
-        return with_part(study, self.output or default_store(study.name), part)
+        return with_part(study, default_store(study.name) if self.output is None else self.output, part)
 
     def stored(self) -> "tuple[linksweep.Study, Location]":
         """Return the study of an existing store, named in its place, and the store; raises SweepError as `load`."""
@@ -237,7 +220,7 @@ def store_around(path: Path) -> Path | None:
     return next((folder for folder in path.resolve().parents if (folder / ROOT).is_file()), None)
 
 
-def link_in(store: "Location", at: At) -> Any:
+def link_in(store: "Location | str", at: At) -> Any:
     """Return the link, forecast or other table that a store holds, None for a grid; ``--at`` is only for a grid."""
     from linksweep.sweep.result import stored_table
 

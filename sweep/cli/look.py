@@ -87,9 +87,7 @@ def show(
     table_format: str = choice("", ("text", "csv", "ecsv"), "--format", default="text"),
     at: At = AT,
     stars: bool = flag("For a link: a row for each source, with Q/n, Cook's distance, share, jackknife shift."),
-    minus: "Location | None" = opt(
-        "For a link: its difference from the link in another store.", type=str, callback=cli.place, metavar="STORE"
-    ),
+    minus: str | None = opt("For a link: its difference from the link in another store.", metavar="STORE"),
     as_json: bool = JSON,
 ) -> None:
     """Print the results in STORE as a table, with the components of the points that are in the worst condition.

@@ -525,7 +525,7 @@ def reproduce(
 @cli.command("Store care", "Make one store of parts, or of several stores")
 def merge(
     stores: "tuple[Location, ...]" = cli.STORES,
-    output: "Location" = cli.output("The new store.", type=str, required=True, callback=cli.place),
+    output: str = cli.output("The new store.", type=str, required=True),
     accept_code: bool = cli.ACCEPT_CODE,
     trust: bool = cli.TRUST,
     as_json: bool = cli.JSON,
