@@ -271,11 +271,20 @@ def prefixed(values: Any, unit: str) -> Prefixed:
         >>> prefixed([1e-320, 1.0], "m / s")
         Prefixed(unit='m / s', factor=1.0)
     """
+    import numpy as np  # not needed where no number is printed
+
     choices = (Prefixed(unit, 1.0), *_choices(unit))  # the first of those that read alike
-    sizes = _sizes(values) if len(choices) > 1 else []
-    best = min(choices, key=lambda choice: sum(_zeros(size * choice.factor) for size in sizes))
+    if len(choices) == 1:
+        return choices[0]
+    sizes = np.abs(np.asarray(values, dtype=float))
+    sizes = sizes[(sizes > 0.0) & (sizes < inf)]
+    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+        powers = np.log10([sizes * choice.factor for choice in choices])
+    # how many zeros, or digits beyond the third, each number has; infinite where it is no float with this prefix
+    zeros = np.where(powers < log10(MOST), np.fmax(0.0, log10(LEAST) - powers), powers - log10(MOST) + 1.0)
+    best = int(zeros.sum(axis=1).round(9).argmin())
     # A number with more than three zeros has an exponent in any unit.
-    return best if any(_zeros(size * best.factor) <= 3.0 for size in sizes) else choices[0]
+    return choices[best] if (zeros[best] <= 3.0).any() else choices[0]
 
 
 def written(unit: str) -> str:
@@ -308,19 +317,6 @@ def with_micro_signs(sentence: str) -> str:
         '0.54 µas/yr of 28 users, 3 µs'
     """
     return re.sub(rf"(?<=\d ){_MICRO.pattern}", "µ", sentence)
-
-
-def _sizes(values: Any) -> list[float]:
-    listed: Any = values.reshape(-1).tolist() if hasattr(values, "reshape") else values
-    numbers = listed if isinstance(listed, list | tuple) else [listed]
-    return [size for number in numbers if 0.0 < (size := abs(float(number))) < inf]
-
-
-def _zeros(size: float) -> float:
-    """Return how many zeros, or digits beyond the third, a number has."""
-    if not 0.0 < size < inf:  # it does not fit into a float with this prefix
-        return inf
-    return log10(LEAST / size) if size < LEAST else log10(size / MOST) + 1.0 if size >= MOST else 0.0
 
 
 @lru_cache(maxsize=256)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations  # names of xarray, which is imported only where it computes
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from math import inf
 from string import Formatter
@@ -34,6 +34,12 @@ class Answer:
     meaning: str
     sentences: list[str]
 
+    @property
+    def in_short(self) -> str:
+        """Its heading and meaning, and its first sentence."""
+        name = f"{self.name} ({self.meaning})" if self.meaning else self.name
+        return f"{name}: {self.sentences[0]}"
+
 
 def answer_in_short(dataset: xr.Dataset) -> list[str]:
     """Return the answer in a few sentences: the conclusion of the study with its values, or the ranges of the first
@@ -41,10 +47,8 @@ def answer_in_short(dataset: xr.Dataset) -> list[str]:
     `said_first` has it, is said in any case.
     """
     concluded, first = conclusion_in_words(dataset), said_first(dataset)
-    some = [answer for answer in answers(dataset) if answer.sentences and (not concluded or answer.name in first)]
-    names = [f"{answer.name} ({answer.meaning})" if answer.meaning else answer.name for answer in some]
-    ranges = [f"{name}: {answer.sentences[0]}" for name, answer in zip(names, some, strict=True)]
-    return [*concluded, *ranges[:MOST_SHORT]]
+    some = [answer.in_short for answer in answers(dataset) if not concluded or answer.name in first]
+    return [*concluded, *some[:MOST_SHORT]]
 
 
 def said_first(dataset: xr.Dataset) -> list[str]:
@@ -56,16 +60,19 @@ def said_first(dataset: xr.Dataset) -> list[str]:
     return list(dict.fromkeys([*with_errors, *names])) if with_errors else []
 
 
-def answers(dataset: xr.Dataset, decided: Mapping[str, str] | None = None) -> list[Answer]:
-    """Return what the results say about each headline quantity, or about each of its components if it has any; nothing
-    before a point is done.  ``decided`` has sentences, by quantity, in place of those on what changes it.
+def answers(
+    dataset: xr.Dataset, decided: Mapping[str, str] | None = None, variables: Collection[str] | None = None
+) -> list[Answer]:
+    """Return what the results say about each headline quantity, or each of some ``variables``, or about each of its
+    components if it has any; nothing before a point is done.  ``decided`` has sentences, by quantity, in place of those
+    on what changes it.
     """
     made: list[Answer] = []
     dataset = quantity.without_running(dataset)
     if not (dataset["status"].values == Status.DONE).any():
         return made
     first = said_first(dataset)
-    for variable in dict.fromkeys([*first, *quantity.headlines(dataset)]):
+    for variable in dict.fromkeys([*first, *quantity.headlines(dataset)]) if variables is None else variables:
         meaning = formatting.meaning_beside(variable, dataset[variable].attrs)
         values = dataset[variable].values.astype(float, copy=False)
         low, high = (end.reduce(values, axis=None) for end in (np.fmin, np.fmax))

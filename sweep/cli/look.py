@@ -155,12 +155,11 @@ class Drawing:
         from linksweep.sweep.stores.location import store_named
 
         if self.kind == "accuracy":
-            models: Any = self.models
+            study = None
             if self.source is not None:
                 is_file = self.source.endswith(".toml")
                 study = linksweep.load_study(self.source) if is_file else study_to_look_at(store_named(self.source))
-                models = sky.models_of(study, models)
-            curves = sky.accuracy_curves(models)
+            curves = sky.accuracy_curves(self.models, study)
             return sky.accuracy_figure(curves), curves
         assert self.source is not None, "asked for before"
         store = store_named(self.source)

@@ -272,19 +272,20 @@ def _separation(array: xr.DataArray, dimension: str) -> float:
 
 
 def draw_panels(
-    dataset: xr.Dataset, variables: list[str], draw: Draw, dimensions: Sequence[str] = (), far: str | None = None
+    dataset: xr.Dataset, variables: list[str], *draws: Draw, dimensions: Sequence[str] = (), far: str | None = None
 ) -> Figure:
-    """Return a figure with a panel for each combination along some dimensions and each variable; the last of these are
-    columns.
+    """Return a figure with a panel for each combination along some dimensions, each variable and each function that
+    draws one; the last of these are columns.
 
     Panels that would be empty are left out.  Those along ``far`` have axes and units of their own.  If the figure is
     too narrow for the columns, they continue in further rows.
     """
-    has_axis = dataset[variables[0]].size > 1  # that panels share: of one value the x axis is its own
-    counts = [*(dataset.sizes[d] for d in dimensions), *([len(variables)] if len(variables) > 1 else [])]
+    has_axis = dataset[variables[0]].size > 1 == len(draws)  # that panels share: of one value the x axis is its own
+    counts = [*(dataset.sizes[d] for d in dimensions), *(len(some) for some in (variables, draws) if len(some) > 1)]
     if len(counts) > 2:
         raise SweepError("several variables leave room for one dimension of panels: fix others by --at AXIS=VALUE")
-    panels = list(islice(_panels(dataset, variables, dimensions, far), MOST_PANELS + 1))
+    every = ((panel, draw) for panel in _panels(dataset, variables, dimensions, far) for draw in draws)
+    panels = list(islice(every, MOST_PANELS + 1))
     if len(panels) > MOST_PANELS:
         raise _too_many(dataset, dimensions[::-1], variables)
     wanted = counts[-1] if len(counts) == 2 else len(panels)
@@ -293,7 +294,7 @@ def draw_panels(
     size = (6.4, 4.4) if len(panels) == 1 else (1.2 + 3.1 * across, 1.2 + 2.4 * down)
     figure, grid = style.new_figure(*size, down, across, n=len(panels))
     firsts: dict[tuple[Any, ...], Axes] = {}
-    for number, (axes, (part, name, title, shares)) in enumerate(zip(grid, panels, strict=False)):
+    for number, (axes, ((part, name, title, shares), draw)) in enumerate(zip(grid, panels, strict=False)):
         if number and has_axis:
             axes.sharex(grid[0])
         if firsts.setdefault(shares, axes) is not axes:
@@ -303,7 +304,7 @@ def draw_panels(
         width, height = style.panel_size(axes)
         axes.set_title(style.in_lines(title, width))
         # not label_outer: a neighbour may have a scale of its own, and that below may be missing
-        has_y = number % across == 0 or panels[number - 1][-1] != shares
+        has_y = number % across == 0 or panels[number - 1][0][-1] != shares
         has_x = not has_axis or number + across >= len(panels)
         axes.tick_params(which="both", labelleft=has_y, labelbottom=has_x)
         axes.set_xlabel(style.in_lines(axes.get_xlabel(), width) if has_x else "")
@@ -395,7 +396,8 @@ def _lines_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]
         return figure
     axis = one_axis(dataset, variables, over)
     draw = partial(draw_lines, over=axis, numbers={})
-    return draw_panels(dataset, variables, draw, *panel_dimensions(dataset, variables[0], axis))
+    dimensions, far = panel_dimensions(dataset, variables[0], axis)
+    return draw_panels(dataset, variables, draw, dimensions=dimensions, far=far)
 
 
 def draw_lines(axes: Axes, dataset: xr.Dataset, variable: str, over: str, numbers: dict[str, int]) -> None:
@@ -633,7 +635,7 @@ def _map_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) 
     _require_values(dataset, variables)
     readable = quantity.in_readable_units(dataset)
     draw = partial(draw_map, x=chosen[0], y=chosen[1], limits=colour_limits(readable[variable]))
-    figure = draw_panels(readable, variables, draw, others[::-1])
+    figure = draw_panels(readable, variables, draw, dimensions=others[::-1])
     mesh = figure.axes[0].collections[0]  # all panels share their colours
     style.add_bar(figure, mesh, readable[variable], style.quantity_label(readable, variable), ax=figure.axes)
     if words := _accuracy_in_words(dataset, variable):
@@ -689,8 +691,6 @@ def draw_map(axes: Axes, dataset: xr.Dataset, variable: str, x: str, y: str, lim
         if dataset[name].size <= 3:  # ticks at these alone
             axis.set_ticks(dataset[name].values, formatting.plain(dataset[name].values.tolist()))
             axis.set_minor_locator(ticker.NullLocator())
-        elif dataset[name].dtype.kind == "i" and not style.is_logarithmic(dataset[name]):
-            axis.set_major_locator(ticker.MaxNLocator(integer=True))
     axes.set(xlabel=style.explained_label(dataset[x], x), ylabel=style.explained_label(dataset[y], y))
 
 
@@ -733,18 +733,8 @@ def _points_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str
     """Return a figure with a row for each variable and a column for each parameter: all, or those in ``over``.  With
     one variable, many parameters take several rows.
     """
-    parameters, several = _parameters(dataset, over, MOST_PARAMETERS), len(variables) > 1
-    pairs = list(product(variables, parameters))
-    across = len(parameters) if several else min(len(parameters), MOST_ACROSS)
-    down = -(-len(pairs) // across)
-    size = (5.2, 4.2) if across * down == 1 else (1.0 + 2.6 * across, 0.8 + 2.4 * down)
-    least, share = (1.0, "row") if several else (style.PANEL_WIDTH, True)
-    figure, panels = style.new_figure(*size, down, across, least, len(pairs), sharey=share)
-    for axes, (variable, parameter) in zip(panels, pairs, strict=True):
-        draw_lines(axes, dataset, variable, parameter, {})
-        is_first = axes.get_subplotspec().is_first_col()
-        axes.set(label=variable, ylabel=style.quantity_label(dataset, variable) if is_first else "")
-    return figure
+    draws = [partial(draw_lines, over=name, numbers={}) for name in _parameters(dataset, over, MOST_PARAMETERS)]
+    return draw_panels(dataset, variables, *draws)
 
 
 def _pairs_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
@@ -834,10 +824,8 @@ def _scatter_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[st
     dimension = next(str(d) for d in dataset[variable].dims if d != "sample")
     known = [str(name) for name in dataset[dimension].values]  # or an index
     dataset = dataset.assign_coords({dimension: known})
-    if unknown := [name for name in over if name not in known]:
-        raise SweepError(f"{shown(unknown[0])} is no component of {variable}{suggest(unknown[0], known)}")
-    if over and len(set(over)) != 2:
-        raise SweepError(f"a scatter needs two components, of {', '.join(known)}; not {', '.join(over)}")
+    if over and (len(set(over)) != 2 or not set(over) <= set(known)):
+        raise SweepError(f"a scatter needs two components of {variable}: {', '.join(known)}; not {', '.join(over)}")
     unit_of = dict(zip(known, quantity.units_along(dataset, variable, [dimension]), strict=True))
     main = dataset[quantity.main_quantity(dataset)].attrs if quantity.quantities(dataset) else {}
     alike = [name for name in known if unit_of[name] == main.get("units")]
@@ -855,12 +843,10 @@ def _scatter_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[st
     both *= factor
     mean, covariance = both.mean(axis=1), np.cov(both)
     sigma = np.sqrt(np.diag(covariance))
-    dots: dict[str, Any] = {"color": style.COLOURS[0], "markeredgewidth": 0.0, "alpha": 0.35}
-    axes.plot(*both, ".", markersize=float(np.clip(100.0 / np.sqrt(n), 2.0, 5.0)), **dots)
-    axes.plot([], [], ".", color=style.COLOURS[0], label=f"{n} estimates")  # large enough for the legend
+    style.draw_cloud(axes, both, f"{n} estimates")
     for confidence, line in ((0.683, "solid"), (0.954, "dashed")):
         look = {"linestyle": line, "label": f"{100 * confidence:.0f} % of their normal law"}
-        axes.add_patch(style.confidence_ellipse(mean, covariance, confidence, edgecolor=style.COLOURS[1], **look))
+        style.draw_ellipse(axes, mean, covariance, confidence, edgecolor=style.COLOURS[1], **look)
     of_mean = sigma / np.sqrt(n)
     if "bias" in dataset and dimension in dataset["bias"].dims:
         truth = mean - factor * dataset["bias"].sel({dimension: names}).values
@@ -907,19 +893,14 @@ def sensitivity_figure(dataset: xr.Dataset) -> Figure:
     symbols = {n: "+".join(map(style.symbol, n.split("+"))) for n in dataset["parameter"].values.tolist()}
     if further:
         words = {n: dataset[n].assign_attrs(symbol=f"{effect}, {WORDS[n]}", units="") for n in kinds}
-        return _lines_of(dataset.assign(words), kinds, further[0], "parameter", symbols)
+        return lines_of(dataset.assign(words), kinds, further[0], "parameter", symbols)
     figure, (axes,) = style.new_figure(6.4, 1.4 + 0.45 * dataset.sizes["parameter"])
     one = dataset.sortby(dataset[kinds[-1] if "total" in kinds else kinds[0]].fillna(0.0))
-    for number, kind in enumerate(kinds):
-        error = one[f"{kind}_error"].values if f"{kind}_error" in one else None
-        places = np.arange(one.sizes["parameter"]) + 0.14 * (0.5 * (len(kinds) - 1) - number)
-        look = style.marks(number, 4.5, elinewidth=1.0, label=WORDS[kind])
-        axes.errorbar(one[kind].values, places, xerr=error, **look)
-    style.name_ticks(axes, "y", [symbols[name] for name in one["parameter"].values.tolist()])
+    parts = {WORDS[kind]: (one[kind].values, one.get(f"{kind}_error")) for kind in kinds}
+    style.draw_beside(axes, "y", [symbols[name] for name in one["parameter"].values.tolist()], parts)
     if "first" in kinds:
         low, high = axes.get_xlim()  # which include the errors of all marks
         axes.set_xlim(min(-0.02, low), max(1.02, high))
-    axes.axvline(0.0, color="0.6", linewidth=0.6)
     axes.set_xlabel(effect)
     return figure
 
@@ -931,7 +912,7 @@ def scaling_figure(dataset: xr.Dataset) -> Figure:
     words = {"speedup": "speed-up over one worker", "efficiency": "efficiency"}
     dataset = dataset.assign({name: dataset[name].assign_attrs(symbol=text) for name, text in words.items()})
     kinds = {kind: f"{kind} scaling" for kind in dataset["kind"].values.tolist()}
-    figure, workers = _lines_of(dataset, list(words), "workers", "kind", kinds), dataset["workers"].values.astype(float)
+    figure, workers = lines_of(dataset, list(words), "workers", "kind", kinds), dataset["workers"].values.astype(float)
     for axes, ideal in zip(figure.axes, (workers, np.ones(len(workers))), strict=True):
         axes.plot(workers, ideal, label="ideal", **style.GUIDE)
         style.logarithmic(axes, "x", workers)
@@ -942,12 +923,14 @@ def scaling_figure(dataset: xr.Dataset) -> Figure:
     return figure
 
 
-def _lines_of(dataset: xr.Dataset, names: list[str], over: str, by: str, words: Mapping[str, str]) -> Figure:
-    """Return lines of what is derived from results along an axis, with its errors NAME_error; ``words`` has what the
-    values of the other dimension are called.
+def lines_of(
+    dataset: xr.Dataset, names: list[str], over: str, by: str, words: Mapping[str, str] | None = None
+) -> Figure:
+    """Return lines of what is no result of a study along an axis, with its errors NAME_error; ``words`` has what the
+    values of the other dimension are called, if not as they are.
     """
     errors = {f"{n}_error": f"{n}_mc_error" for n in names if f"{n}_error" in dataset}
-    status = dataset[names[0]].dims, np.full(dataset[names[0]].shape, Status.DONE, dtype=np.int8)
-    named = dataset[by].assign_attrs(symbols=json.dumps(words))
+    status = dataset[over].dims, np.full(dataset[over].shape, Status.DONE, dtype=np.int8)
+    named = dataset[by].assign_attrs(symbols=json.dumps(words or {}))
     dataset = dataset.rename(errors).assign_coords({by: named}).assign(status=status)
     return draw_panels(dataset, names, partial(draw_lines, over=over, numbers={}))

@@ -21,9 +21,9 @@ from linksweep.core.setup import scenario
 from linksweep.core.tie.problem import LARGE_SHARE, sky_cells
 from linksweep.sweep import formatting
 from linksweep.sweep.analysis.quantity import point_in
-from linksweep.sweep.contract import Named, SweepError, shown, suggest
+from linksweep.sweep.contract import SweepError, shown, suggest
 from linksweep.sweep.planning.plan import generators
-from linksweep.sweep.plots import style
+from linksweep.sweep.plots import figure as drawing, style
 from linksweep.sweep.running.reproduce import study_to_look_at
 from linksweep.sweep.stores.location import Where
 from linksweep.sweep.stores.store import OpenStore
@@ -78,22 +78,18 @@ def on_map(longitude_deg: Array, frame: SkyFrame = ICRS) -> Array:
 
 
 def sky_figure(dataset: xr.Dataset) -> Figure:
-    """Return an all-sky map of ``ra`` and ``dec`` (deg), coloured by the magnitude ``v_mag`` if there is one, with the
-    Galactic plane and its centre.
+    """Return an all-sky map of ``ra`` and ``dec`` (deg), coloured by the magnitude ``v_mag``, with the Galactic plane
+    and its centre.
     """
     figure, (axes,) = style.new_figure(7.6, 4.9, subplot_kw={"projection": "mollweide"})
     prepare_sky(axes)
-    colours: dict[str, Any] = {"color": style.COLOURS[0]}
-    if "v_mag" in dataset:  # bright objects, of small magnitude, on top and dark
-        dataset = dataset.isel(object=np.argsort(-dataset["v_mag"].values.astype(float), kind="stable"))
-        colours = {"c": dataset["v_mag"].values.astype(float), "cmap": "viridis"}
-    ra, dec = (dataset[name].values.astype(float) for name in ("ra", "dec"))
-    look = colours | {"linewidths": 0.0, "zorder": 3}
-    look["s"] = float(np.clip(4000.0 / max(len(ra), 1), 1.5, 18.0))
-    points = axes.scatter(on_map(ra), dec * DEGREE, **look)
-    if "v_mag" in dataset:
-        bar: dict[str, Any] = {"orientation": "horizontal", "shrink": 0.5, "pad": 0.02, "aspect": 30}
-        figure.colorbar(points, ax=axes, label=style.label(dataset["v_mag"], "v_mag"), **bar)
+    # bright objects, of small magnitude, on top and dark
+    dataset = dataset.isel(object=np.argsort(-dataset["v_mag"].values, kind="stable"))
+    look = {"c": dataset["v_mag"], "cmap": "viridis", "linewidths": 0.0, "zorder": 3}
+    look["s"] = float(np.clip(4000.0 / dataset.sizes["object"], 1.5, 18.0))
+    points = axes.scatter(on_map(dataset["ra"].values), dataset["dec"] * DEGREE, **look)
+    bar: dict[str, Any] = {"orientation": "horizontal", "shrink": 0.5, "pad": 0.02, "aspect": 30}
+    figure.colorbar(points, ax=axes, label=style.label(dataset["v_mag"], "v_mag"), **bar)
     longitude = np.linspace(0.0, 2.0 * np.pi, 721)
     galactic = np.stack([np.cos(longitude), np.sin(longitude), np.zeros_like(longitude)])
     plane_ra, plane_dec = position(GALACTIC_AXES.T @ galactic)
@@ -154,43 +150,40 @@ def accuracy_figure(dataset: xr.Dataset) -> Figure:
     """Return ``sigma_pm`` beside ``sigma_pos`` (model, v) against the magnitude v, a line for each mission, with a band
     where its error is known.
     """
-    figure, grid = style.new_figure(8.4, 4.0, 1, 2, least=1.0, sharex=True)
-    v = dataset["v"].values
-    for axes, variable in zip(grid, ("sigma_pm", "sigma_pos"), strict=True):
-        for number, model in enumerate(dataset["model"].values.tolist()):
-            one, look = dataset.sel(model=model), {"color": style.COLOURS[number % len(style.COLOURS)]}
-            curve, error = one[variable].values, one[f"{variable}_error"].values
-            line = style.LINES[number % len(style.LINES)]
-            axes.plot(v, curve, linestyle=line, linewidth=1.2, label=style.literal(str(model)), **look)
-            if np.isfinite(error).any():
-                axes.fill_between(v, curve - error, curve + error, **look, **style.BAND)
-        style.logarithmic(axes, "y", dataset[variable].values)
-        axes.set(xlabel=style.label(dataset["v"], "v"), ylabel=style.label(dataset[variable], variable))
+    names, dataset = ["sigma_pm", "sigma_pos"], style.with_literal_texts(dataset)
+    dataset = dataset.assign({name: dataset[name].assign_attrs({style.SCALE: "log"}) for name in names})
+    figure = drawing.lines_of(dataset, names, "v", "model")
     style.complete(figure, str(dataset.attrs.get("title", "")))
     return figure
 
 
-def accuracy_curves(models: Sequence[str | Named] = ()) -> xr.Dataset:
+def accuracy_curves(chosen: Sequence[str] = (), study: Study | None = None) -> xr.Dataset:
     """Return sigma_pm (mas/yr) and sigma_pos (mas) of one object, dimensions (model, v), of missions at nominal length.
 
-    ``models`` are by default all built-in ones whose packages are installed.  Values beyond a mission's faint limit are
-    NaN.  The curves that were calibrated with the paper's tables have one-sigma errors ``_error`` from that fit; for
-    others these are NaN.
-    Raises SweepError for an unknown model, one whose package is missing, or a function that has no value somewhere.
+    The missions are those of a study, or all built-in ones whose packages are installed; of them those in ``chosen`` if
+    there are any.  Values beyond a mission's faint limit are NaN.  The curves that were calibrated with the paper's
+    tables have one-sigma errors ``_error`` from that fit; for others these are NaN.
+    Raises SweepError for a study of another experiment, a model that is not there, one whose package is missing, or a
+    function that has no value somewhere.
     """
+    known: dict[str, Any] = {name: name for name in missions.MISSIONS}
+    if study is not None:
+        if study.experiment.name != "link":
+            raise SweepError(f"only the link has missions; this is the experiment {study.experiment.name}")
+        whole = study.experiment.defaults() | dict(study.fixed)
+        known = {str(model): model for model in study.axes.get("model", (whole["model"],))}
+    if unknown := [name for name in chosen if name not in known]:
+        raise SweepError(f"no model {shown(unknown[0])}{suggest(unknown[0], list(known))}")
     v = np.round(np.linspace(9.0, 21.0, 121), 6)
     rows: dict[str, Sequence[Array]] = {}
-    for model in models or missions.MISSIONS:
-        name = str(model)
-        if isinstance(model, str) and name not in missions.MISSIONS:
-            raise SweepError(f"no model {shown(name)}{suggest(name, list(missions.MISSIONS))}")
+    for name in chosen or known:
         try:
-            sigma_pos, sigma_pm = missions.mission_of(model).sigmas_to_limit(v)
+            sigma_pos, sigma_pm = missions.mission_of(known[name]).sigmas_to_limit(v)
         except missions.CurveError as error:
-            if models:
+            if chosen or study is not None:
                 raise SweepError(str(error)) from error
             continue
-        calibrated = missions.CALIBRATED.get(name) if isinstance(model, str) else None
+        calibrated = missions.CALIBRATED.get(name) if isinstance(known[name], str) else None
         relative = np.full(v.shape, np.nan) if calibrated is None else calibrated.relative_error(v)
         rows[name] = sigma_pm, sigma_pm * relative, sigma_pos, sigma_pos * relative
     pm, pos = {"units": "mas / yr", "symbol": r"$\sigma_\mu$"}, {"units": "mas", "symbol": r"$\sigma_\mathrm{pos}$"}
@@ -199,21 +192,6 @@ def accuracy_curves(models: Sequence[str | Named] = ()) -> xr.Dataset:
     variables = {name: (("model", "v"), np.array(array), its) for (name, its), array in arrays}
     coordinates = {"model": np.array(list(rows), dtype=object), "v": ("v", v, MAGNITUDE)}
     return xr.Dataset(variables, coordinates, {"title": "Accuracy of one object in each mission"})
-
-
-def models_of(study: Study, chosen: Sequence[str] = ()) -> list[str | Named]:
-    """Return the missions of a study of the link, or those of them in ``chosen``.
-
-    Raises SweepError for another experiment, or a mission that the study does not have.
-    """
-    if study.experiment.name != "link":
-        raise SweepError(f"only the link has missions; this is the experiment {study.experiment.name}", study.source)
-    whole = study.experiment.defaults() | dict(study.fixed)
-    models = list(study.axes.get("model", (whole["model"],)))
-    known = [str(model) for model in models]
-    if unknown := [name for name in chosen if name not in known]:
-        raise SweepError(f"{shown(unknown[0])} is no mission of this study{suggest(unknown[0], known)}", study.source)
-    return [model for model in models if not chosen or str(model) in chosen]
 
 
 # What figures of links have in common
@@ -288,12 +266,8 @@ def solution_figure(dataset: xr.Dataset) -> Figure:
     for axes, (stored, panel) in zip(grid, panels.items(), strict=True):
         values, errors = dataset["estimate"].values[panel], dataset["errors"].values[:, panel]
         factor, unit = _readable(values, stored)
-        for number, kind in enumerate(kinds):
-            x = np.arange(len(panel)) + 0.6 * ((number + 0.5) / len(kinds) - 0.5)
-            look = style.marks(number, 3.5, elinewidth=1.0, label=f"{kind} error")
-            axes.errorbar(x, factor * values, yerr=factor * np.nan_to_num(errors[number]), **look)
-        axes.axhline(0.0, color="0.6", linewidth=0.6, zorder=0)
-        style.name_ticks(axes, "x", [symbols[k] for k in panel])
+        parts = {f"{kind} error": (factor * values, factor * one) for kind, one in zip(kinds, errors, strict=True)}
+        style.draw_beside(axes, "x", [symbols[k] for k in panel], parts)
         axes.set_ylabel(f"estimate [{unit}]")
     style.legend(figure, least=1)
     return figure
@@ -304,15 +278,11 @@ def bin_figure(dataset: xr.Dataset) -> Figure:
     values = _require(dataset, "spin_by_bin", "give --bins COLUMN=EDGES")
     factor, unit = _readable(values, "mas/yr")
     figure, (axes,) = style.new_figure(6.8, 4.2)
-    for number, component in enumerate("xyz"):
-        x = np.arange(len(values)) + 0.1 * (number - 1)
-        error = factor * dataset["spin_by_bin_error"].values[:, number]
-        look = style.marks(number, 4.5, label=rf"$\omega_{component}$")
-        axes.errorbar(x, factor * values[:, number], yerr=error, **look)
-    axes.axhline(0.0, color="0.5", linewidth=0.8, zorder=0)
+    both = zip("xyz", factor * values.T, factor * dataset["spin_by_bin_error"].values.T, strict=True)
+    parts = {rf"$\omega_{component}$": (value, error) for component, value, error in both}
     edges = zip(dataset["bin_low"].values.tolist(), dataset["bin_high"].values.tolist(), strict=True)
     words = [f"below {b:g}" if np.isinf(a) else f"from {a:g}" if np.isinf(b) else f"{a:g} to {b:g}" for a, b in edges]
-    style.name_ticks(axes, "x", words)
+    style.draw_beside(axes, "x", words, parts)
     axes.set(xlabel=str(dataset.attrs.get("bin_column", "bin")), ylabel=f"spin [{unit}]")
     return figure
 
@@ -321,33 +291,25 @@ def trajectory_figure(dataset: xr.Dataset) -> Figure:
     """Return a figure of each vector and chi2/dof against the step of the clip; a line marks the chosen step."""
     if "step_estimate" not in dataset or dataset.sizes["step"] < 2:
         raise SweepError("no trajectory here: give --clip discrepancy or median:K, which go step by step")
-    vectors, symbols = _vectors(dataset), _symbols(dataset)
-    steps, chosen = np.arange(dataset.sizes["step"]), int(dataset["step_chosen"])
-    figure, grid = style.new_figure(7.4, 3.0 + 2.0 * len(vectors), len(vectors) + 1, sharex=True)
-    dots = {"marker": ".", "linewidth": 1.0, "markersize": 3.0}
-    for axes, (name, block) in zip(grid, vectors.items(), strict=False):
-        values, errors = dataset["step_estimate"].values[:, block], dataset["step_error"].values[:, block]
-        factor, unit = _readable(values, str(dataset["unit"].values[block[0]]))
-        for colour, k, line, error in zip(style.COLOURS, block, factor * values.T, factor * errors.T, strict=False):
-            axes.plot(steps, line, color=colour, label=symbols[k], **dots)
-            axes.fill_between(steps, line - error, line + error, color=colour, **style.BAND)
-        axes.set_ylabel(f"{name.replace('_', ' ')} [{unit}]")
-    with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = dataset["step_chi2"] / dataset["step_dof"]
-    last = grid[-1]
-    last.plot(steps, ratio, color="black", **dots)
-    last.axhline(1.0, color="0.6", linewidth=0.6, zorder=0)
-    style.fit_scale(last, "y", ratio)
-    last.set_ylabel(r"$\chi^2$/dof")
-    for axes in grid:
-        axes.axvline(chosen, color="0.4", linestyle="dashed", linewidth=1.0)
-    last.xaxis.set_major_locator(ticker.MaxNLocator(integer=True))
-    dropped = [str(name) for name in dataset["step_dropped"].values]
-    if any(dropped) and len(steps) <= RANKED:
-        last.set_xticks(steps, ["all", *dropped[1:]], rotation=90, fontsize=7)
-    last.set_xlabel("sources dropped, one after the other" if any(dropped) else "iteration of the clip")
-    words = "dashed: the step of the solution; bands: scaled errors"
-    grid[0].set_title(style.in_lines(words, style.panel_size(grid[0])[0]))
+    parts, dropped = dict[str, Any](), [str(name) for name in dataset["step_dropped"].values]
+    for name, block in _vectors(dataset).items():
+        about = {"units": str(dataset["unit"].values[block[0]]), "symbol": name.replace("_", " ")}
+        for key, values in ((name, "step_estimate"), (f"{name}_error", "step_error")):
+            parts[key] = ("step", "component"), dataset[values].values[:, block], about
+    ratio = dataset["step_chi2"] / dataset["step_dof"].where(dataset["step_dof"] > 0)
+    parts["ratio"] = ("step",), ratio.values, {"symbol": r"$\chi^2$/dof"}
+    words = "sources dropped, one after the other" if any(dropped) else "iteration of the clip"
+    coordinates = {"step": ("step", np.arange(len(dropped)), {"symbol": words}), "component": list("xyz")}
+    names = [name for name in parts if not name.endswith("_error")]
+    figure = drawing.lines_of(xr.Dataset(parts, coordinates), names, "step", "component")
+    for artist in style.labelled(figure.axes[-1]):  # its axis says what it is
+        artist.set_label("")
+    for axes in figure.axes:
+        axes.axvline(int(dataset["step_chosen"]), label="the step of the solution", **style.GUIDE)
+        axes.xaxis.set_major_locator(ticker.MaxNLocator(integer=True))
+        if any(dropped) and len(dropped) <= RANKED:
+            axes.set_xticks(range(len(dropped)), ["all", *dropped[1:]], rotation=90, fontsize=7)
+    figure.axes[-1].axhline(1.0, color="0.6", linewidth=0.6, zorder=0)
     return figure
 
 
@@ -363,22 +325,17 @@ def jackknife_figure(dataset: xr.Dataset) -> Figure:
     if not vectors or len(without) < 2:
         raise SweepError("no jackknife scatter: no block of unknowns is a vector that more than one source determines")
     stretched = without.mean(axis=0) + np.sqrt(len(without) - 1.0) * (without - without.mean(axis=0))
-    dots: dict[str, Any] = {"color": style.COLOURS[0], "markeredgewidth": 0.0, "alpha": 0.6}
-    dots["markersize"] = float(np.clip(70.0 / np.sqrt(len(without)), 2.0, 9.0))
     figure, grid = style.new_figure(10.0, 3.4 * len(vectors) + 0.5, len(vectors), 3)
     pairs = [pair for block in vectors.values() for pair in combinations(block, 2)]
     for axes, pair in zip(grid, map(list, pairs), strict=True):
         factor, unit = _readable(stretched[:, pair], str(dataset["unit"].values[pair[0]]))
-        x, y = factor * stretched[:, pair].T
-        axes.plot(x, y, ".", **dots)
-        axes.plot([], [], ".", color=dots["color"], label="without one source, displacement × √(N − 1)")
+        style.draw_cloud(axes, factor * stretched[:, pair].T, "without one source, displacement × √(N − 1)")
         for number, kind in enumerate(dataset["error_kind"].values):
             covariance = factor**2 * dataset["covariances"].values[number][np.ix_(pair, pair)]
             if np.all(np.isfinite(covariance)):
                 look = {"edgecolor": style.COLOURS[1 + number % 7], "linestyle": style.LINES[number % len(style.LINES)]}
-                centre = factor * dataset["estimate"].values[pair]
                 look |= {"label": f"{kind}, 68 %", "zorder": 4}
-                axes.add_patch(style.confidence_ellipse(centre, covariance, 0.683, **look))
+                style.draw_ellipse(axes, factor * dataset["estimate"].values[pair], covariance, 0.683, **look)
         axes.set_aspect("equal", adjustable="datalim")
         axes.set(**{f"{which}label": f"{symbols[k]} [{unit}]" for which, k in zip("xy", pair, strict=True)})
         axes.margins(0.12)

@@ -15,8 +15,9 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 import xarray as xr
-from matplotlib import collections, colors, container, lines, patches, patheffects, ticker
+from matplotlib import collections, colors, lines, patches, patheffects, ticker
 from matplotlib.axes import Axes
+from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 from scipy.special import chdtri
 
@@ -285,20 +286,20 @@ def with_chosen_component(dataset: xr.Dataset) -> xr.Dataset:
 
 def value_text(dataset: xr.Dataset, axis: str, value: Any) -> str:
     """Return a value of an axis as a legend names it."""
-    if dataset[axis].dtype.kind == "M":
+    array, name = dataset[axis], symbol(axis, dataset[axis].attrs)
+    if array.dtype.kind == "M":
         return str(value).replace("T", " ")
-    value = formatting.harmless(value) if isinstance(value, str) else value
-    hidden = str(value).startswith("_")  # alone it would be missing in the legend
-    if isinstance(value, str) and value.lower() not in ("", "none") and not (hidden or _NUMBER.fullmatch(value)):
-        symbols = json.loads(dataset[axis].attrs.get("symbols", "{}"))
-        is_name = f"{axis}_unit" in dataset.coords or ("_" in value and _NAME.fullmatch(value))
-        return symbols.get(value.replace(r"\$", "$")) or (component_symbol(value) if is_name else value)
-    if formatting.is_truth(dataset[axis]) and value == value:  # noqa: PLR0124
-        return f"{symbol(axis, dataset[axis].attrs)}: {SWITCH[bool(value)]}"
-    if value in ("", "none", "None") or value != value:  # noqa: PLR0124 (missing: the parameter has no effect there)
-        return f"no {symbol(axis, dataset[axis].attrs)}"
-    unit = formatting.written(formatting.units_of(dataset[axis].attrs))
-    return f"{symbol(axis, dataset[axis].attrs)} = {quantity.value_in_words(dataset, axis, value)} {unit}".rstrip()
+    if formatting.is_missing(value) or str(value).lower() in ("", "none"):  # the parameter has no effect there
+        return f"no {name}"
+    if formatting.is_truth(array):
+        return f"{name}: {SWITCH[bool(value)]}"
+    text = formatting.harmless(quantity.value_in_words(dataset, axis, value))
+    # a number needs its axis, and what begins with _ would be missing in the legend
+    if not isinstance(value, str) or value.startswith("_") or _NUMBER.fullmatch(value):
+        return f"{name} = {text} {formatting.written(formatting.units_of(array.attrs))}".rstrip()
+    symbols = json.loads(array.attrs.get("symbols", "{}"))
+    is_name = f"{axis}_unit" in dataset.coords or ("_" in value and _NAME.fullmatch(value))
+    return symbols.get(value.replace(r"\$", "$")) or (component_symbol(text) if is_name else text)
 
 
 def values_text(dataset: xr.Dataset, values: Mapping[str, Any]) -> str:
@@ -433,6 +434,22 @@ def name_ticks(axes: Axes, which: str, names: Sequence[str]) -> None:
     axes.set(**{f"{which}lim": (-0.5, len(names) - 0.5)})
 
 
+def draw_beside(axes: Axes, which: str, names: Sequence[str], parts: Mapping[str, tuple[Any, Any]]) -> None:
+    """Draw several numbers with their errors at each name along an axis, beside each other and with a line at 0;
+    ``parts`` are all of a kind by its label.
+    """
+    places = np.arange(len(names))
+    for number, (words, (values, errors)) in enumerate(parts.items()):
+        aside = 0.6 * ((number + 0.5) / len(parts) - 0.5)
+        look = marks(number, 4.0, elinewidth=1.0, label=words)
+        if which == "x":
+            axes.errorbar(places + aside, values, yerr=errors, **look)
+        else:  # the first is above the others
+            axes.errorbar(values, places - aside, xerr=errors, **look)
+    (axes.axhline if which == "x" else axes.axvline)(0.0, color="0.6", linewidth=0.6, zorder=0)
+    name_ticks(axes, which, names)
+
+
 def add_bar(figure: Figure, drawn: Any, array: xr.DataArray, text: str, **options: Any) -> None:
     """Add the colour bar of an array to a figure."""
     axes = figure.colorbar(drawn, label=text, **options).ax
@@ -474,12 +491,19 @@ def marks(number: int, size: float, **options: Any) -> dict[str, Any]:
     return {**series(number), "linestyle": "none", "markersize": size, **options}
 
 
-def confidence_ellipse(centre: Array, covariance: Array, confidence: float, **look: Any) -> patches.Ellipse:
-    """Return the ellipse that holds a share ``confidence`` of a normal distribution of two numbers."""
+def draw_cloud(axes: Axes, both: Array, words: str) -> None:
+    """Draw pairs of numbers, (2, n), as dots that are the smaller the more there are."""
+    size, colour = float(np.clip(100.0 / np.sqrt(both.shape[1]), 2.0, 6.0)), COLOURS[0]
+    axes.plot(*both, ".", color=colour, markersize=size, markeredgewidth=0.0, alpha=0.4)
+    axes.plot([], [], ".", color=colour, label=words)  # large enough for the legend
+
+
+def draw_ellipse(axes: Axes, centre: Array, covariance: Array, confidence: float, **look: Any) -> None:
+    """Draw the ellipse that holds a share ``confidence`` of a normal distribution of two numbers."""
     values, vectors = np.linalg.eigh(covariance)
     width, height = 2.0 * np.sqrt(np.maximum(values, 0.0) * chdtri(2, 1.0 - confidence))
     angle = float(np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0])))
-    return patches.Ellipse((centre[0], centre[1]), width, height, angle=angle, fill=False, linewidth=1.2, **look)
+    axes.add_patch(patches.Ellipse(tuple(centre), width, height, angle=angle, fill=False, linewidth=1.2, **look))
 
 
 def labelled(axes: Axes) -> list[Any]:
@@ -517,7 +541,7 @@ def legend_entries(figure: Figure) -> dict[str, Any]:
     for axes in figure.axes:
         for handle, text in zip(*axes.get_legend_handles_labels(), strict=True):
             entries.setdefault(text, handle)
-    return dict(sorted(entries.items(), key=lambda entry: not isinstance(entry[1], container.ErrorbarContainer)))
+    return dict(sorted(entries.items(), key=lambda entry: not isinstance(entry[1], ErrorbarContainer)))
 
 
 def legend(figure: Figure, least: int = 2, **options: Any) -> None:
@@ -538,21 +562,15 @@ def legend(figure: Figure, least: int = 2, **options: Any) -> None:
 
 # Captions
 
-# Labels of what a caption explains; matplotlib leaves labels that begin with _ out of legends.
-ERROR_BAND, PREDICTION_BAND, LAW_BAND, JOINED = "_error band", "_prediction band", "_law band", "_joined"
-WITHOUT, RUNNING, ALONE = "_without", "_running", "_alone"
-
-# What no label of a figure explains.
-UNLABELLED = {
-    ERROR_BAND: "Bands join the errors of the points.",
-    PREDICTION_BAND: "Vertical bars behind dashes are the one-sigma errors of the predictions.",
-    LAW_BAND: "Bands are the one-sigma errors of the fitted laws.",
-    JOINED: "Thin lines join the points.",
-    ALONE: "Markers are points without a neighbour on their line.",
-    RUNNING: "Markers with a white centre are values so far, of points that are not done.",
-    WITHOUT: "Dotted lines are points on which the parameter along the axis has no effect.",
-    MOVED: "Markers that cover each other are drawn a little to the left or right of them; lines are not.",
-}
+# Labels that a caption has as sentences; matplotlib leaves labels that begin with _ out of legends.
+ERROR_BAND = "_Bands join the errors of the points."
+PREDICTION_BAND = "_Vertical bars behind dashes are the one-sigma errors of the predictions."
+LAW_BAND = "_Bands are the one-sigma errors of the fitted laws."
+JOINED = "_Thin lines join the points."
+ALONE = "_Markers are points without a neighbour on their line."
+RUNNING = "_Markers with a white centre are values so far, of points that are not done."
+WITHOUT = "_Dotted lines are points on which the parameter along the axis has no effect."
+SENTENCES = (ERROR_BAND, PREDICTION_BAND, LAW_BAND, JOINED, ALONE, RUNNING, WITHOUT)
 MOST_DESCRIBED = 6  # that a description names
 MOST_RANGES = 3  # quantities or components whose ranges a caption gives
 
@@ -577,13 +595,14 @@ def caption(figure: Figure, dataset: xr.Dataset, with_answer: bool = False) -> s
 def description(figure: Figure, dataset: xr.Dataset) -> str:
     """Return what is seen: the panels, what each draws against what, and the range of values."""
     panels, signs = panels_of(figure), list(legend_entries(figure))
-    labels = (str(artist.get_label()) for axes in panels for artist in labelled(axes))
-    signs += [label.removeprefix(AT_END) for label in labels if label.startswith(AT_END)]
+    all_labels = (str(artist.get_label()) for axes in panels for artist in labelled(axes))
+    signs += [label.removeprefix(AT_END) for label in all_labels if label.startswith(AT_END)]
     bars = [axes.get_ylabel() or axes.get_xlabel() for axes in figure.axes if axes.get_label() == "<colorbar>"]
-    drawn = (" against ".join(filter(None, [_label(axes, "y"), _label(axes, "x")])) or "a picture" for axes in panels)
+    labels = [axes.get_ylabel() for axes in panels], [axes.get_xlabel() for axes in panels]
+    drawn = [formatting.first_of(list(dict.fromkeys(filter(None, one))), MOST_DESCRIBED, "; ") for one in labels]
     titles = formatting.first_of([title for axes in panels if (title := axes.get_title())], MOST_DESCRIBED, "; ")
     parts = [
-        f"Drawn: {formatting.first_of(list(dict.fromkeys(drawn)), MOST_DESCRIBED, '; ')}",
+        f"Drawn: {' against '.join(filter(None, drawn)) or 'a picture'}",
         ": ".join(filter(None, [f"{len(panels)} panels", titles])) if len(panels) > 1 else "",
         f"Colours: {' and '.join(bars)}" if bars else "",
         f"Legend: {', '.join(signs)}" if len(signs) > 1 else "",
@@ -596,9 +615,10 @@ def _signs(figure: Figure, dataset: xr.Dataset) -> list[str]:
     """Return a sentence for each kind of sign in a figure that its labels do not explain."""
     entries = legend_entries(figure)
     labels = {artist.get_label() for axes in figure.axes for artist in (*axes.get_children(), *labelled(axes))}
-    drawn = dict.fromkeys(str(axes.get_label()) for axes in figure.axes if _has_error_bars(axes))
-    names = [name for name in drawn if name in dataset]
-    sentences = []
+    points = [(axes, one) for axes in figure.axes for one in axes.containers if isinstance(one, ErrorbarContainer)]
+    own = [(axes, one) for axes, one in points if str(one.get_label()).lstrip("_") != PUBLISHED]
+    with_bars = {axes.get_label() for axes, one in own if one.has_xerr or one.has_yerr}
+    names, sentences = [name for name in _drawn(figure, dataset) if name in with_bars], list[str]()
     if any(quantity.standard_error(dataset, name) is not None for name in names):
         sentences.append("Points are simulated, with one-sigma errors.")
     declared = dict.fromkeys(bars[0] for name in names if (bars := quantity.errors_beside(dataset, name)))
@@ -609,17 +629,11 @@ def _signs(figure: Figure, dataset: xr.Dataset) -> list[str]:
     if PUBLISHED in entries:
         sources = sorted({str(v.attrs["source"]) for v in dataset.data_vars.values() if "source" in v.attrs})
         sentences.append(": ".join(filter(None, ["Open symbols are published", "; ".join(sources)])) + ".")
-    sentences += [words for label, words in UNLABELLED.items() if label in labels]
+    sentences += [label[1:] for label in SENTENCES if label in labels]
     for name in _drawn(figure, dataset):
         if dataset[name].dtype.kind == "f" and (n := int(np.isinf(dataset[name]).sum())):
             sentences.append(f"Not drawn: {formatting.counted(n, 'infinite value')} of {name}.")
     return sentences
-
-
-def _has_error_bars(axes: Axes) -> bool:
-    known = [one for one in axes.containers if isinstance(one, container.ErrorbarContainer)]
-    bars = [one for one in known if one.has_xerr or one.has_yerr]
-    return any(str(one.get_label()).lstrip("_") != PUBLISHED for one in bars)
 
 
 def _drawn(figure: Figure, dataset: xr.Dataset) -> dict[str, None]:
@@ -629,19 +643,5 @@ def _drawn(figure: Figure, dataset: xr.Dataset) -> dict[str, None]:
 
 def _ranges(figure: Figure, dataset: xr.Dataset) -> list[str]:
     """Return a sentence about the values of each quantity that a figure draws."""
-    if "status" not in dataset:
-        return []
-    sentences, variables = [], with_chosen_component(dataset).data_vars.items()
-    for drawn in _drawn(figure, dataset):
-        alone = dataset.assign({name: array.assign_attrs(headline=name == drawn) for name, array in variables})
-        for one in answer.answers(alone):
-            meaning = f" ({one.meaning})" if one.meaning else ""
-            sentences += [f"{one.name}{meaning}: {sentence}" for sentence in one.sentences[:1]]
-    return sentences[:MOST_RANGES]
-
-
-def _label(axes: Axes, which: str) -> str:
-    """Return the label of an axis, or that of the axes that share it and have one."""
-    siblings = getattr(axes, f"get_shared_{which}_axes")().get_siblings(axes)
-    labels = (getattr(one, f"get_{which}label")() for one in (axes, *siblings))
-    return next(filter(None, labels), "")
+    some = answer.answers(dataset, variables=_drawn(figure, dataset)) if "status" in dataset else ()
+    return [one.in_short for one in some][:MOST_RANGES]

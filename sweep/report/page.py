@@ -250,8 +250,8 @@ def _axes(dataset: xr.Dataset, dims: Sequence[str]) -> Iterator[dict[str, Any]]:
     """Yield the coordinates along dimensions, and the dimensions without one; those along points without order come
     last, and only if they are numeric.
     """
-    names = [str(n) for n, c in dataset.coords.items() if c.ndim == 1 and not str(n).endswith("_unit")]
-    along = [n for d in dims for n in dict.fromkeys([d, *(m for m in names if dataset[m].dims == (d,))])]
+    names = [n for d in dims for n in dict.fromkeys([d, *quantity.axis_coordinates(dataset, [d])])]
+    along = [n for n in names if not n.endswith("_unit")]
     for name in sorted(along, key=lambda n: (dataset[n].dims == (POINT,), n == POINT)):
         array = dataset[name]  # a dimension without a coordinate gives 0, 1, 2, ...
         numeric, ordered = array.dtype.kind in "iuf", array.dims[0] != POINT
@@ -348,8 +348,7 @@ def check_output(path: Path) -> None:
 
 
 def write_report(page: str, path: Path) -> None:
-    """Write a page, whole or not at all, to a new file or over an earlier report; raises SweepError if it cannot."""
-    check_output(path)
+    """Write a page, whole or not at all; raises SweepError if it cannot."""
     write_at_once(path, lambda new: new.write_text(page, encoding="utf-8", errors="backslashreplace", newline="\n"))
 
 

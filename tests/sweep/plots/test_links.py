@@ -105,7 +105,8 @@ def test_the_scatter_without_a_source_is_the_jackknife_error_and_the_band_of_a_t
     x = linksweep.plot(link, "jackknife").axes[0].lines[0].get_xdata()
     assert np.std(x) == pytest.approx(float(link.errors.sel(error_kind="jackknife")[0]), rel=1e-9)
     axes = linksweep.plot(link, "trajectory").axes[0]
-    vertices = axes.collections[0].get_paths()[0].vertices
+    band = next(one for one in axes.collections if one.get_label() == style.ERROR_BAND)
+    vertices = band.get_paths()[0].vertices
     for step, (value, error) in enumerate(zip(link.step_estimate[:, 0], link.step_error[:, 0], strict=True)):
         ends = vertices[vertices[:, 0] == step, 1]
         np.testing.assert_allclose([ends.min(), ends.max()], [value - error, value + error])
@@ -119,8 +120,8 @@ def test_a_significance_is_the_deviation_that_is_as_rare():
 
 
 def test_right_ascension_grows_to_the_left_and_the_galactic_plane_is_that_of_astropy():
-    dataset = xr.Dataset({"ra": ("object", [170.0, 180.0, 190.0]), "dec": ("object", [0.0, 10.0, -20.0])})
-    [axes] = sky.sky_figure(dataset).axes
+    places = {"ra": [170.0, 180.0, 190.0], "dec": [0.0, 10.0, -20.0], "v_mag": [3.0, 2.0, 1.0]}  # the brightest last
+    axes = sky.sky_figure(xr.Dataset({name: ("object", values) for name, values in places.items()})).axes[0]
     x, y = np.asarray(axes.collections[0].get_offsets()).T
     assert (x, y) == (pytest.approx(np.deg2rad([10.0, 0.0, -10.0])), pytest.approx(np.deg2rad([0.0, 10.0, -20.0])))
     labels = [text for text in axes.texts if text.get_text().endswith("°")]
