@@ -135,7 +135,7 @@ def _slopes(dataset: xr.Dataset, name: str, over: str, fixed: dict[str, int]) ->
     from linksweep.sweep.analysis import laws  # of the three only this is fitted
 
     axis = dataset.coords.get(over)
-    if axis is None or (axis.dims == (POINT,) and len(quantity.varied_parameters(dataset)) > 1):
+    if axis is None or not axis.dims or (axis.dims == (POINT,) and len(quantity.varied_parameters(dataset)) > 1):
         raise quantity.OutsideGridError(f"{over} is not an axis of this store")
     for line in laws.lines_of(dataset.isel(fixed), name, over).lines:
         where, n = quantity.place_at(dataset, fixed | dict(line.index)), len(line.x)

@@ -178,6 +178,7 @@ def test_a_claim_about_points_that_are_not_done_not_finite_or_not_there(tmp_path
     ):
         comparison = only(grid(1.0, claims=[claim(**keys)]))
         assert (comparison.verdict, comparison.reason) == ("incomplete", reason)
+    assert only(grid(1.0, claims=[claim(slope=LAW)]).isel(n=0)).reason == "n is not an axis of this store"
     # a table has no lines, and several points at one place
     values = [{"variable": "result", "at": at} for at in ({"a": 2}, {"a": 2, "b": 2})]
     claims = [claim(slope={"variable": "result", "over": "a"}), *(claim(value=one, published="4.0") for one in values)]

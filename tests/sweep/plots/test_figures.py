@@ -115,7 +115,7 @@ def test_a_scatter_has_all_estimates_ellipses_and_truth(dataset_of):
     assert linksweep.plot(dataset.drop_vars("component"), over=["0", "1"]).axes[0].get_xlabel() == "0 [mas]"
     [axes] = linksweep.plot(dataset, over=["epsilon_x", "omega_z"]).axes
     assert (axes.get_xlabel(), axes.get_ylabel()) == (r"$\epsilon_{x}$ [mas]", r"$\omega_{z}$ [mas/yr]")
-    with pytest.raises(linksweep.SweepError, match="two components of estimate: .*; not omega, omega_x"):
+    with pytest.raises(linksweep.SweepError, match=r"two components of estimate: .*; not omega, omega_x"):
         linksweep.plot(dataset, over=["omega", "omega_x"])
 
 

@@ -105,8 +105,7 @@ def test_the_scatter_without_a_source_is_the_jackknife_error_and_the_band_of_a_t
     x = linksweep.plot(link, "jackknife").axes[0].lines[0].get_xdata()
     assert np.std(x) == pytest.approx(float(link.errors.sel(error_kind="jackknife")[0]), rel=1e-9)
     axes = linksweep.plot(link, "trajectory").axes[0]
-    band = next(one for one in axes.collections if one.get_label() == style.ERROR_BAND)
-    vertices = band.get_paths()[0].vertices
+    [vertices, *_] = [one.get_paths()[0].vertices for one in axes.collections if one.get_label() == style.ERROR_BAND]
     for step, (value, error) in enumerate(zip(link.step_estimate[:, 0], link.step_error[:, 0], strict=True)):
         ends = vertices[vertices[:, 0] == step, 1]
         np.testing.assert_allclose([ends.min(), ends.max()], [value - error, value + error])
