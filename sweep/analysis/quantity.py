@@ -234,49 +234,35 @@ def places_of_others(dataset: xr.Dataset, variable: str, dimension: str) -> list
     return list(range(len(here))) if here == there else [place[label] for label in here]
 
 
-def error_of_sum(
-    dataset: xr.Dataset, variable: str, one: Mapping[str, int], other: Mapping[str, int], weights: tuple[Any, Any]
-) -> Array | None:
-    """Return the one-sigma error of a weighted sum of a variable at two indices along dimensions.
-
-    If the two share random numbers, it includes their covariance, and is NaN if the dataset does not have it; otherwise
-    they are independent.  ``weights`` are numbers or arrays over the other dimensions.  None if there are no errors.
-    """
-    if (error := standard_error(dataset, variable)) is None:
-        return None
-    known, differing = dataset.assign({variable: error}), [d for d in one if one[d] != other[d]]
-    dims, (first, second) = known.isel(one)[variable].dims, weights
-    sigma, tau = (known.isel(place)[variable].transpose(*dims).values for place in (one, other))
-    if not differing:
-        return np.asarray(abs(first + second) * sigma)
-    variance = (first * sigma) ** 2 + (second * tau) ** 2
-    dimension = differing[0]
-    covariance = covariance_along(dataset, variable, dimension) if len(differing) == 1 else None
-    if covariance is not None:
-        i, j, name = one[dimension], other[dimension], f"{variable}_{COVARIANCE_SUFFIX}_{dimension}"
-        places = places_of_others(dataset, variable, dimension)
-        pairs = ({**one, dimension: a, f"{dimension}_other": places[b]} for a, b in ((i, i), (j, j), (i, j)))
-        at_one, at_other, both = (dataset.isel(pair)[name].transpose(*dims).values for pair in pairs)
-        variance = first**2 * at_one + second**2 * at_other + 2.0 * first * second * both
-        variance = np.maximum(0.0, variance * small_sample_factor(samples_along(dataset, variable, dimension)))
-    elif shares_random_numbers(dataset, differing):
-        variance = np.nan * variance
-    return np.asarray(np.sqrt(variance))
-
-
 @np.errstate(all="ignore")  # what is no number is no ratio
 def ratio_at(
     dataset: xr.Dataset, variable: str, one: Mapping[str, int], other: Mapping[str, int]
 ) -> tuple[Array, Array]:
-    """Return a variable at one index along dimensions over that at another, and the one-sigma error of this ratio, 0 if
-    it is exact; NaN where the denominator is 0.
+    """Return a variable at one index along dimensions over that at another, NaN where the denominator is 0, and the
+    one-sigma error of this ratio, 0 if it is exact.
+
+    If the two share random numbers, the error includes their covariance, and is NaN if the dataset does not have it;
+    otherwise they are independent.
     """
-    dims = dataset.isel(one)[variable].dims
-    above, below = (dataset.isel(place)[variable].transpose(*dims).values.astype(float) for place in (one, other))
+    parts = [dataset.isel(place) for place in (one, other)]
+    dims, differing = parts[0][variable].dims, [d for d in one if one[d] != other[d]]
+    above, below = (part[variable].transpose(*dims).values.astype(float) for part in parts)
     below = np.where(below == 0.0, np.nan, below)
     ratio = above / below
-    error = error_of_sum(dataset, variable, one, other, (1.0 / below, -ratio / below))
-    return ratio, np.zeros(ratio.shape) if error is None else error
+    if not differing:
+        return ratio, 0.0 * ratio
+    sigma, tau = (sigmas(part, variable, dims) / below for part in parts)
+    variance, dimension = sigma**2 + (ratio * tau) ** 2, differing[0]
+    if len(differing) == 1 and covariance_along(dataset, variable, dimension) is not None:
+        i, j, name = one[dimension], other[dimension], f"{variable}_{COVARIANCE_SUFFIX}_{dimension}"
+        places = places_of_others(dataset, variable, dimension)
+        pairs = ({**one, dimension: a, f"{dimension}_other": places[b]} for a, b in ((i, i), (j, j), (i, j)))
+        at_one, at_other, both = (dataset.isel(pair)[name].transpose(*dims).values / below**2 for pair in pairs)
+        variance = at_one + ratio**2 * at_other - 2.0 * ratio * both
+        variance = np.maximum(0.0, variance * small_sample_factor(samples_along(dataset, variable, dimension)))
+    elif shares_random_numbers(dataset, differing) and variance.any():
+        variance = np.nan * variance
+    return ratio, np.sqrt(variance)
 
 
 # Axes and places

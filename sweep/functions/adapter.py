@@ -26,6 +26,9 @@ RNG, N_SIM = "rng", "n_sim"
 KINDS: dict[Any, Kind] = {float: "float", int: "int", bool: "bool", str: "str", Any: "any"}
 NUMPY_KINDS: dict[type, Kind] = {np.bool_: "bool", np.integer: "int", np.floating: "float", np.str_: "str"}
 
+# What an experiment has as its declaration has it.
+TAKEN_OVER = ("vectorised", "tolerance", "packages", "citation", "shared")
+
 # The attribute of a function that holds its declaration.
 ATTRIBUTE = "__linksweep__"
 
@@ -284,12 +287,8 @@ def _checked(function: Callable[..., Any], declaration: experiment) -> "Function
         made,
         parameters=parameters,
         declared=tuple(outputs),
-        vectorised=declaration.vectorised,
-        tolerance=tolerance,
         repeatable=declaration.deterministic and not made.rng,
-        packages=tuple(declaration.packages),
-        citation=tuple(declaration.citation),
-        shared=tuple(declaration.shared),
+        **{name: getattr(declaration, name) for name in TAKEN_OVER},
     )
 
 
