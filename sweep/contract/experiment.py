@@ -347,9 +347,9 @@ class Parameter:
     meaning: str = ""
     unit: str = ""
     choices: tuple[Any, ...] = ()
-    minimum: float | None = None
-    maximum: float | None = None
-    above: float | None = None
+    minimum: float | int | None = None
+    maximum: float | int | None = None
+    above: float | int | None = None
     symbol: str = ""
     symbols: Mapping[str, str] = field(default_factory=dict)
     define: Define | None = field(default=None, compare=False, repr=False)
@@ -385,25 +385,20 @@ class Parameter:
         default = None if isinstance(self.default, Named) else self.written(self.default)
         return default.item() if isinstance(default, np.generic) else default
 
-    def parse(self, raw: object) -> Value:
+    def parse(self, raw: Any) -> Value:
         """Return ``raw`` as a value of this parameter; raises ValueError with a sentence that says what is allowed."""
         if raw is None and (self.optional or self.when):
             return None
-        value: Any = self._object(raw) if self.takes_objects else raw
-        is_object = isinstance(value, Named) and (self.takes_objects or value in self.defined)
-        return value if is_object else self._plain(value)
-
-    def _object(self, raw: Any) -> Any:
-        """Return the object with a label that ``raw`` is or names, ``raw`` itself where it is none."""
-        is_label = isinstance(raw, dict) and raw.keys() == {LABEL}
-        label = raw[LABEL] if is_label else raw if isinstance(raw, str) else None
-        named = next((one for one in self.defined if one.name == label), None)
-        if named is None and is_label:
-            raise ValueError(
-                f"{self.name} = {shown(label)} is the label of an object that only its script can make again; "
-                "run that, retry=True for failed points"
-            )
-        return raw if named is None else named
+        is_label = self.takes_objects and isinstance(raw, dict) and raw.keys() == {LABEL}
+        name = raw[LABEL] if is_label else raw
+        may_name = isinstance(name, str) and (self.takes_objects or self.kind == "str")
+        named = next((one for one in self.defined if may_name and one.name == name), None)
+        if is_label and named is None:
+            words = "only its script can make again; run that, retry=True for failed points"
+            raise ValueError(f"{self.name} = {shown(name)} is the label of an object that {words}")
+        if isinstance(raw, Named) and (self.takes_objects or raw in self.defined):
+            named = raw
+        return self._plain(raw) if named is None else named
 
     def _plain(self, raw: object) -> Value:
         kind, known = self.kind, self._known()
@@ -415,11 +410,9 @@ class Parameter:
             if not isinstance(raw, int | float | str) or not like:
                 raise self._refused(raw, nearest(raw, known) if kind == "str" and isinstance(raw, str) else "")
             raw = like[0]  # 2.0 is the choice 2
-        if kind == "str" and isinstance(raw, str):
-            return next((named for named in self.defined if named.name == raw), raw)
         if kind in ("float", "int") or (kind == "any" and isinstance(raw, int | float) and not is_truth):
             return self._number(raw, whole=kind == "int" or (kind == "any" and isinstance(raw, int)))
-        allowed = {"any": str | bool, "bool": bool, "file": str}
+        allowed = {"str": str, "any": str | bool, "bool": bool, "file": str}
         if kind in allowed and isinstance(raw, allowed[kind]):
             return raw
         if kind in ("map", "files") and isinstance(raw, dict) and all(isinstance(text, str) for text in raw.values()):
@@ -566,25 +559,23 @@ def named(what: str, values: object, known: Sequence[str], noun: str) -> list[st
 
 
 def setting_problem(one: Parameter | Output) -> str | None:
-    """Return which text, truth value or unit of a declaration is none, None if all are."""
+    """Return which text, truth value, number or unit of a declaration is none, None if all are."""
+    kinds: dict[Any, str] = {str: "a string", bool: "True or False", float | int | None: "a number"}
     for each in fields(one):
-        value, kind = getattr(one, each.name), each.type
-        if kind in (str, bool) and not isinstance(value, kind):
-            return f"{each.name} = {shown(value)}: must be {WORDS['str'] if kind is str else 'True or False'}"
+        value, kind = getattr(one, each.name), kinds.get(each.type)
+        if kind is not None and not isinstance(value, each.type):  # type: ignore[arg-type]
+            return f"{each.name} = {shown(value)}: must be {kind}"
     return unit_problem(one.unit)
 
 
 def parameter_problems(parameter: Parameter) -> Iterator[str]:
     """Yield what is wrong with a parameter by itself."""
-    bounds = (parameter.minimum, parameter.above, parameter.maximum)
     if parameter.kind not in WORDS:
         yield f"there is no kind {shown(parameter.kind)}{suggest(str(parameter.kind), get_args(Kind))}"
     elif not isinstance(parameter.choices, tuple | list) or not all(
         isinstance(choice, str | int | float) for choice in parameter.choices
     ):
         yield f"choices = {shown(parameter.choices)}: must be a tuple of numbers, texts and truth values"
-    elif any(bound is not None and not isinstance(bound, int | float) for bound in bounds):
-        yield f"minimum, above and maximum must be numbers, not {shown(bounds)}"
     elif text := setting_problem(parameter):
         yield text
     elif not isinstance(parameter.symbols, Mapping):
