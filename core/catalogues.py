@@ -486,8 +486,7 @@ def catalogue_from_table(
         read.require(quantity)
     read.finish()  # columns that are not there are all named before any is read
     ra, dec = read.quantity("ra"), read.quantity("dec")
-    read.check(np.abs(dec) >= 90.0, "a dec that is not between -90 and 90 deg, poles excluded,", dec)
-    read.check((ra < -180.0) | (ra > 360.0), "an ra that is not between -180 and 360 deg", ra)
+    read.check(np.abs(dec) >= 90.0, "a dec at a pole", dec)
     pmra, pmdec = np.zeros((2, len(ra)))
     if moving:
         name = read.name("pmra")
@@ -517,7 +516,6 @@ def _own_errors(read: Any, prefix: str, n_obj: int) -> OwnErrors | None:
     for k, observable in enumerate(OBSERVABLES):
         if (name := f"{observable}_error") in present:
             sigma[:, k] = read.quantity(prefix + name)
-            read.check(sigma[:, k] < 0.0, f"a negative {prefix}{name}", sigma[:, k])
     pairs = [name for name in CORRELATIONS if name in present]
     for name in pairs:
         i, j = CORRELATIONS[name]

@@ -425,16 +425,12 @@ def read_sky_table(name: str, path: Path, search: Search) -> pd.DataFrame:
 
 def _read_positions(read: Columns, error_arcsec: float | None) -> dict[str, Array]:
     columns = {key: read.quantity(key) for key in ("ra", "dec") if read.require(key)}
-    if len(columns) == 2:
-        ra, dec = columns["ra"], columns["dec"]
-        read.check((ra < 0.0) | (ra > 360.0), "an ra outside 0..360 deg", ra)
-        read.check(np.abs(dec) > 90.0, "a dec outside -90..90 deg", dec)
     for key in ("ra_error", "dec_error"):
         if error_arcsec is not None:
             columns[key] = np.full(len(read), 1000.0 * error_arcsec)
         elif read.require(key, "; or give its error in arcsec with --error"):
             columns[key] = read.quantity(key)
-            read.check(columns[key] <= 0.0, f"a {read.label(key)} that is not above 0", columns[key])
+            read.check(columns[key] == 0.0, f"a {read.label(key)} that is not above 0", columns[key])
     return columns
 
 
@@ -449,7 +445,6 @@ def _read_motions(read: Columns, missing_pm: str, ref_epoch: float | None) -> di
         for key, values in columns.items():
             read.check(np.isinf(values), f"an infinite {read.label(key)}")
             if key.endswith("_error"):
-                read.check(values < 0.0, f"a negative {read.label(key)}", values)
                 read.check(np.isnan(values) & ~missing, f"no {read.label(key)}")
             columns[key] = np.where(missing, np.nan, values)
         if missing_pm == "error" and len(read.problems) == known:

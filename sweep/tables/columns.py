@@ -71,6 +71,10 @@ _UNITS = {
     **dict.fromkeys(("nodeangle", "inclination", "arg_periastron", "ecl_lat"), "deg"),
 }
 
+# The smallest and the largest angle (deg), but for rounding where it is in radians.
+LIMITS = {"ra": (-180.0, 360.0), "dec": (-90.0, 90.0)}
+ROUNDING = 1e-7
+
 ALONG_RA = ("ra", "ra_error", "pmra", "pmra_error")
 # The smallest and the largest epoch that is allowed, Julian years.
 EPOCHS = (1700.0, 2300.0)
@@ -245,20 +249,28 @@ class Columns:
         '12:34:56.7', in hours if it is a right ascension.  Along right ascension a second of time is 15 arcsec.
         ``cos_dec`` says whether an error or motion has the factor cos(dec), which it gets if not; by default it lacks
         it in units of time only.  The column must be there.  NaN everywhere, and a problem, for one that cannot be
-        read; rows that are not finite are a problem unless they are "allowed" to be ``missing``.
+        read; positions beyond `LIMITS` and negative errors are a problem, and so are rows that are not finite unless
+        they are "allowed" to be ``missing``.
         """
-        name = str(self.name(quantity))
-        known = len(self.problems)
+        name, plain, label = str(self.name(quantity)), _plain(quantity), self.label(quantity)
         try:
-            values = self._converted(name, quantity) * scale
+            values = self._converted(name, quantity)
         except ValueError as error:
             self.problems.append(str(error))
             return np.full(len(self), np.nan)
+        if plain in LIMITS:
+            low, high = LIMITS[plain]
+            outside = (values < low - ROUNDING) | (values > high + ROUNDING)
+            self.check(outside, f"a {label} outside {low:g}..{high:g} deg", values)
+        elif plain.endswith("_error"):
+            self.check(values < 0.0, f"a negative {label}", values)
+        values = values * scale
+        known = len(self.problems)
         if self.lacks_cos_dec(quantity, cos_dec):
             values = values * self._cos_dec
         if missing == "refused" and len(self.problems) == known:
-            self.check(np.isnan(values), f"no {self.label(quantity)}")
-            self.check(np.isinf(values), f"an infinite {self.label(quantity)}")
+            self.check(np.isnan(values), f"no {label}")
+            self.check(np.isinf(values), f"an infinite {label}")
         return values
 
     def lacks_cos_dec(self, quantity: str, cos_dec: bool | None) -> bool:

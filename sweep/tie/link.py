@@ -102,10 +102,7 @@ def solve_link(setup: Setup, asked: Options, sources: solving.Sources | None = N
             doubt, further = _misfit(setup, sources, result), list[str]()
             if any(ESTIMATE in sizes.values() for sizes in setup.jitter.values()):
                 setup, sources, result, noise, further = _with_noise(setup, how)
-            covariances, samples, notes = _covariances(sources, result, asked)
-            if noise is not None:
-                covariances = {"estimated": noise.covariance(result.solution)} | covariances
-                samples = {"estimated": np.inf} | samples
+            covariances, samples, notes = _covariances(sources, result, asked, noise)
             squares = sources.discrepancies(result.solution.estimate) if per_source else None
             if isinstance(sources, solving.KeptSources):
                 effect = solving.influence(sources.sums, result.solution, unknowns, result.factors)
@@ -190,7 +187,7 @@ def _of_known(setup: Setup, sources: solving.Sources, result: solving.Clipped) -
 
 
 def _covariances(
-    sources: solving.Sources, result: solving.Clipped, asked: Options
+    sources: solving.Sources, result: solving.Clipped, asked: Options, noise: Noise | None
 ) -> tuple[dict[str, Array], dict[str, float], list[str]]:
     """Return the covariance of each kind of error, the main one first, the number of sources or cells whose scatter it
     is (inf for none), and notes.
@@ -200,7 +197,8 @@ def _covariances(
         used = result.factors > 0.0
         sums, factors = sums.taken(used), result.factors[used]
         sums = sums if np.all(factors == 1.0) else sums.scaled(factors)
-    covariances, samples = {}, {}
+    covariances = {} if noise is None else {"estimated": noise.covariance(solved)}
+    samples = dict.fromkeys(covariances, np.inf)
     for kind in dict.fromkeys([*listed(asked.errors), "formal", "scaled"]):
         groups = sums if kind != "cells" and sums is not None else sources.cell_sums(result.factors)
         if sums is None and kind in ("jackknife", "bootstrap", "sandwich"):
@@ -696,15 +694,18 @@ def apply(
         if (stored := stored_table(link)) is None or stored.kind != "tie":
             raise SweepError("is no link of two tables, which sweep tie -o writes", str(link))
         link = stored.dataset
-    path = built_in(Path(table)) if isinstance(table, (str, Path)) else Path("the table")
-    raw = read_table(path) if isinstance(table, (str, Path)) else Table(table)  # without quantities
-    how = files.as_read(link.attrs, raw, files.digest_of(path) if isinstance(table, (str, Path)) else "", asked)
-    whole = astrometric_table(raw, str(path), "", how)
+    if isinstance(table, Table):
+        raw, where, digest = Table(table), "the table", ""  # without quantities
+    else:
+        path = built_in(Path(table))
+        raw, where, digest = read_table(path), str(path), files.digest_of(path)
+    how = files.as_read(link.attrs, raw, digest, asked)
+    whole = astrometric_table(raw, where, digest, how)
     stars = whole.astrometry
-    notes = [*_notes(link, stars, inverse, str(path)), *(note for note in whole.notes if "unit" in note)]
-    read = Columns(raw, str(path), how.columns, how.units, QUANTITIES)
+    notes = [*_notes(link, stars, inverse, where), *(note for note in whole.notes if "unit" in note)]
+    read = Columns(raw, where, how.columns, how.units, QUANTITIES)
     if files.hipparcos_elements(read) is not None:
-        raise SweepError("has correlations as elements U1 to U15: write columns like ra_dec_corr instead", str(path))
+        raise SweepError("has correlations as elements U1 to U15: write columns like ra_dec_corr instead", where)
     new = _moved(stars, link, inverse)
     put = _put(read, new, how.pmra_cos_dec, output is not None and output.suffix == ".csv")
     lost = [name for name in CORRELATIONS if not read.has(name) and np.any(np.nan_to_num(new.get(name, 0.0)))]
@@ -718,10 +719,9 @@ def apply(
         notes.append(f"the table was read with {', '.join(said)}")
     raw.meta["comments"] = [*raw.meta.get("comments", []), *notes]
     if output is not None:
-        try:
+        errors = ValueError, TypeError, AttributeError, NotImplementedError  # each format has its own
+        with refused(*errors, said=f"{output.suffix} cannot hold the table: ", where=output, more="; write .ecsv"):
             write_at_once(output, lambda path: write_table(raw, path))  # it warns of long names in a FITS header
-        except (ValueError, TypeError, AttributeError, NotImplementedError) as error:  # each format has its own
-            raise SweepError(f"{output.suffix} cannot hold the table: {error}; write .ecsv", str(output)) from error
     return raw
 
 

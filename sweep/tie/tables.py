@@ -152,10 +152,8 @@ def read_table(path: Path, options: TableOptions | None = None) -> AstrometricTa
     A table whose metadata say ``extragalactic: true`` needs no epoch: its positions hold at any.  Raises
     SweepError with all that is wrong and the rows (counted from 1).
     """
-    path = built_in(path)
-    if path.is_dir():
-        raise SweepError("is a folder, not a table", str(path))
-    table, options, where = read_file(path), options or TableOptions(), str(path)
+    path, options = built_in(path), options or TableOptions()
+    table, where = read_file(path), str(path)
     notes = []
     if options.where:
         kept = rows_where(table, options.where, where)
@@ -346,17 +344,15 @@ def _errors(read: Columns, parameter: str, options: TableOptions) -> Array:
     quantity = f"{parameter}_error"
     name, column = read.name(quantity), read.name(parameter)
     if column in read.names and read.table[name].unit is None and quantity not in read.units:
-        unit, of_value = UNITS[parameter], read.table[column].unit
-        said, other = "", of_value
+        unit, of_value, said = UNITS[parameter], read.table[column].unit, ""
         if parameter in ("ra", "dec"):
-            said, other = "sexagesimal" * (read.kind(column) in "USO"), "s" if parameter == "ra" else "arcsec"
+            said = "sexagesimal" * (read.kind(column) in "USO")
         elif of_value is not None and of_value.is_equivalent(unit) and not np.isclose(of_value.to(unit), 1.0):
             said = f"in {of_value}"
         if said:
-            say = f"say --unit {quantity}={unit} (or {other})"
+            say = f"say --unit {quantity}={unit}, or what it is in"
             read.problems.append(f"column {column!r} is {said}, and {name!r} has no unit; {say}")
     errors = _in_radians(read, quantity, options)
-    read.check(errors < 0.0, f"a negative {name}")
     if options.zero_errors == "error":
         read.check(errors == 0.0, f"a {name} of 0 (say --zero-errors missing, or exact)")
     return np.where(errors == 0.0, np.nan, errors) if options.zero_errors == "missing" else errors
@@ -416,8 +412,6 @@ def _check_positions(read: Columns, values: Array, errors: Array) -> None:
             what = f"{name} is written with a last decimal that is worth more than its error"
             read.notes.append(f"{what}: were digits lost? {core.named_rows(rounded)}")
         read.check(np.isfinite(error) & ~np.isfinite(row), f"an error but no value of {name}")
-    read.check(np.abs(values[1]) > 0.5 * np.pi * (1.0 + 1e-12), "a dec outside -90..90 deg")
-    read.check((values[0] < -np.pi - 1e-9) | (values[0] > 2.0 * np.pi + 1e-9), "an ra outside -180..360 deg")
 
 
 def _in_single_precision(read: Columns, name: str) -> bool:
@@ -649,8 +643,9 @@ TIME, ANGLE, LENGTH, NUMBER, ARC = ("ns", "ns"), ("deg", "rad"), ("mas", "rad"),
 NEEDED = {
     **{"obs_time_tcb": (*TIME, -np.inf, np.inf), "obs_time_bary_corr": (*TIME, -6e11, 6e11)},
     **{"scan_pos_angle": (*ANGLE, -360.0, 360.0), "parallax_factor_al": (*NUMBER, -1.1, 1.1)},
-    **{VALUE: (*LENGTH, -ARC, ARC), ERROR: (*LENGTH, 1e-6, ARC), "used_by_agis_al": (*NUMBER, -np.inf, np.inf)},
+    **{VALUE: (*LENGTH, -ARC, ARC), ERROR: (*LENGTH, 1e-6, ARC)},
 }
+USED = "used_by_agis_al"
 PER_STAR = {"ra0": (*ANGLE, -180.0, 360.0), "dec0": (*ANGLE, -90.0, 90.0), NOISE: (*LENGTH, 0.0, ARC)}
 OPTIONAL = PER_STAR | {"colour_factor_al": (*LENGTH, -ARC, ARC)}
 # Of the archive's colour_factor_al to nm. Source: gaiasupdate 0.1.2.
@@ -693,27 +688,26 @@ def read_observations(path: Path) -> tuple[Any, list[str]]:
         socket.setdefaulttimeout(waiting)
     table = read_file(built_in(path))
     table.rename_columns(table.colnames, [re.sub("(?<=[a-z0-9])([A-Z])", r"_\1", n).lower() for n in table.colnames])
-    if missing := [name for name in ("source_id", *NEEDED) if name not in table.colnames]:
+    if missing := [name for name in ("source_id", USED, *NEEDED) if name not in table.colnames]:
         raise SweepError(f"no column {', '.join(missing)}, which epoch astrometry of Gaia has", str(path))
     units = {name: unit for name, unit in (NEEDED | OPTIONAL).items() if name in table.colnames}
     cells = {"transit_id": np.arange(len(table)), "colour_factor_al": 0.0, NOISE: 0.0}
     read = Columns(table, str(path))
     with refused(ValueError, TypeError, said="cannot be read as epoch astrometry: ", where=path):
-        frame = pd.DataFrame(cells | {name: _cells(table[name]) for name in units})
+        frame = pd.DataFrame(cells | {name: _cells(table[name]) for name in (USED, *units)})
         for name in {"source_id", "transit_id"} & set(table.colnames):
             frame[name] = read.text(name)
-        several = [name for name in units if frame[name].dtype == object]
-        frame = (frame.explode(several) if several else frame).astype(dict.fromkeys(units, np.float64))
-    for name, (unit, used, *_) in units.items():
-        with refused(ValueError, TypeError, said=f"column {name!r}: ", where=path):
-            frame[name] *= Unit(table[name].unit or unit).to(used)
-    frame["used_by_agis_al"] = frame["used_by_agis_al"].isin([1.0, ord("T")])  # the letter in FITS
-    frame, known = frame[frame["used_by_agis_al"]], [name for name in units if name not in ("ra0", "dec0")]
+        several = [name for name in (USED, *units) if frame[name].dtype == object]
+        frame = (frame.explode(several) if several else frame).astype(dict.fromkeys((USED, *units), np.float64))
+    frame = frame[frame.pop(USED).isin([1.0, ord("T")])].copy()  # the letter in FITS
+    known = [name for name in units if name not in ("ra0", "dec0")]
 
     def rows(flags: Any) -> Flags:
         return np.isin(np.arange(len(table)), frame.index[flags])
 
     for name, (unit, used, low, most) in units.items():
+        with refused(ValueError, TypeError, said=f"column {name!r}: ", where=path):
+            frame[name] *= Unit(table[name].unit or unit).to(used)
         by, gone = Unit(unit).to(used), frame[name].isna()
         wrong = rows(~gone & ~frame[name].between(low * by, most * by))
         read.check(wrong, f"{name} outside {low:g}..{most:g} {unit}".rstrip())
