@@ -48,14 +48,12 @@ OUTPUTS = (*OUTPUTS, Output("sigma_worst", _EACH, "largest RMS error of a compon
 IN_THE_SUMMARY = ('"chi2": sums["chi2"] / n,', '"sigma_worst": np.sqrt(variance[:, ALWAYS]).max(axis=1),')
 DOTS = """
 from matplotlib.figure import Figure
-from linksweep.sweep.plots import GridFigure
 def dots(dataset, variables, over):
     figure = Figure()
     figure.add_subplot().plot(dataset[variables[0]].values.reshape(-1), "o")
     return figure
-DOTS = GridFigure(lambda dataset, variable: True, dots)
 """
-A_KIND = ('"scatter": Kind("figure:SCATTER"),', '"dots": Kind("dots:DOTS"),')
+A_KIND = ('"scatter": Kind("figure:scatter_figure"),', '"dots": Kind("dots:dots"),')
 BACKWARDS = """
 from contextlib import contextmanager
 from linksweep.sweep.executing.pools import Place

@@ -3,7 +3,7 @@
 No module that draws is imported before a figure is made, because matplotlib takes longer than most commands.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from pkgutil import resolve_name
 from typing import Any, NamedTuple
 
@@ -19,25 +19,18 @@ class Kind(NamedTuple):
         return resolve_name(f"linksweep.sweep.plots.{self.reference}")
 
 
-class GridFigure(NamedTuple):
-    """A kind of figure of the results of a study: whether a quantity of a dataset can have it, and the function of
-    dataset, quantities and axes (``over``) that draws it; `style.complete` adds title and legend.
-    """
-
-    possible: Callable[[Any, str], bool]
-    draw: Callable[[Any, list[str], Sequence[str]], Any]
-
-
-# Kinds of figures by the kind of result that they are drawn of; the first is the default, of a grid what suits it.
+# Kinds of figures by the kind of result that they are drawn of; the first is the default, of a grid what suits it.  A
+# function draws a dataset, for a grid some quantities along axes (``over``), and raises SweepError where something is
+# missing; `style.complete` adds title and legend.
 KINDS: Mapping[str, Mapping[str, Kind]] = {
-    "grid": {  # of type GridFigure, the others are functions of a dataset
-        "lines": Kind("figure:LINES"),
-        "law": Kind("figure:LAW"),
-        "map": Kind("figure:MAP"),
-        "scatter": Kind("figure:SCATTER"),
-        "points": Kind("figure:POINTS"),
-        "pairs": Kind("figure:PAIRS"),
-        "curves": Kind("figure:CURVES"),
+    "grid": {
+        "lines": Kind("figure:lines_figure"),
+        "law": Kind("figure:law_figure"),
+        "map": Kind("figure:map_figure"),
+        "scatter": Kind("figure:scatter_figure"),
+        "points": Kind("figure:points_figure"),
+        "pairs": Kind("figure:pairs_figure"),
+        "curves": Kind("figure:curves_figure"),
     },
     "scaling": {"scaling": Kind("figure:scaling_figure")},
     "sensitivity": {"sensitivity": Kind("figure:sensitivity_figure")},

@@ -23,7 +23,7 @@ from linksweep.sweep import formatting
 from linksweep.sweep.analysis import laws, quantity
 from linksweep.sweep.contract import Array, Status, SweepError, shown, suggest
 from linksweep.sweep.planning.union import REFINED
-from linksweep.sweep.plots import KINDS, GridFigure, style
+from linksweep.sweep.plots import KINDS, Kind, style
 from linksweep.sweep.result import Result
 from linksweep.sweep.studies.study import POINT
 
@@ -75,11 +75,9 @@ def draw_figure(
         return _study_figure(style.with_scales(dataset, log, linear), kind, list(variables), over)
     if variables or over or log or linear:
         raise SweepError(f"a figure of a {result.kind} has no variables, axes and scales to choose, only its kind")
-    if not (kinds := KINDS.get(result.kind, {})):
+    if result.kind not in KINDS:
         raise SweepError(f"there is no figure of a {result.kind}")
-    if kind is not None and kind not in kinds:
-        raise SweepError(f"no kind {shown(kind)} of a {result.kind}{suggest(kind, list(kinds))}")
-    return _titled(result, kind or next(iter(kinds)))
+    return _titled(result, kind or next(iter(KINDS[result.kind])))
 
 
 def all_figures(result: Result) -> dict[str, Figure]:
@@ -91,9 +89,15 @@ def all_figures(result: Result) -> dict[str, Figure]:
     return figures
 
 
+def _kind(result_kind: str, name: str) -> Kind:
+    if name not in (kinds := KINDS[result_kind]):
+        raise SweepError(f"no kind {shown(name)} of a {result_kind}{suggest(name, list(kinds))}")
+    return kinds[name]
+
+
 def _titled(result: Result, kind: str) -> Figure:
     """Return a figure with its title, and with what it shows as its label, for the caption."""
-    one, result = KINDS[result.kind][kind], Result(style.with_literal_texts(result.dataset))
+    one, result = _kind(result.kind, kind), Result(style.with_literal_texts(result.dataset))
     figure: Figure = one.load()(result.dataset)
     title = "\n".join(filter(None, [result.title, result.subtitle]))
     figure.set_label(": ".join(filter(None, [one.caption, title.replace("\n", "; ")])))
@@ -129,10 +133,7 @@ def _study_figure(dataset: xr.Dataset, kind: str | None, variables: list[str], o
     dataset = _where_known(dataset.assign(finite), names[0])
     _require_values(dataset, names)
     part = style.with_chosen_component(dataset.squeeze([d for d in single if d not in over]))
-    possible = [name for name, one in KINDS["grid"].items() if one.load().possible(part, names[0])]
     chosen = kind or _suitable(part, names[0], over)
-    if chosen not in possible:
-        raise SweepError(f"no kind {shown(chosen)} of {names[0]} here; possible are {', '.join(possible) or 'none'}")
     if chosen in ("law", "map", "pairs") and len(names) > 1:
         raise SweepError(f"a figure of the kind {chosen} is of one variable, not of {', '.join(names)}")
     return _draw(part, chosen, names, over)
@@ -175,9 +176,9 @@ def _with_effect(dataset: xr.Dataset, axes: Sequence[str]) -> xr.Dataset:
 
 def _suitable(dataset: xr.Dataset, variable: str, over: Sequence[str]) -> str:
     array, numeric = dataset[variable], quantity.numeric_axes(dataset, variable)
-    if _has_points(dataset, variable):
+    if POINT in array.dims and (parameters := quantity.varied_parameters(dataset)):
         is_long = any(dataset[n].size >= CURVE_POINTS for n in quantity.numeric_axes(dataset, variable, "ifM"))
-        if set(over) <= set(quantity.varied_parameters(dataset)):
+        if set(over) <= set(parameters):
             return "curves" if is_long and not over else "points"
         if len(over) == 1:
             return "curves"
@@ -197,7 +198,7 @@ def _suitable(dataset: xr.Dataset, variable: str, over: Sequence[str]) -> str:
 
 def _draw(dataset: xr.Dataset, kind: str, variables: list[str], over: Sequence[str]) -> Figure:
     """Return a figure with the title of the study, the values that all points share, and whether points are missing."""
-    figure: Figure = KINDS["grid"][kind].load().draw(dataset, variables, over)
+    figure: Figure = _kind("grid", kind).load()(dataset, variables, over)
     axes = [str(n) for n, c in dataset.coords.items() if not c.dims and not str(n).endswith("_unit")]
     shared = style.values_text(dataset, {name: quantity.listed(dataset, name, [])[0] for name in axes})
     words = f"INCOMPLETE: {quantity.lacking(dataset)}" if _is_unfinished(dataset) else ""
@@ -389,7 +390,8 @@ def one_axis(dataset: xr.Dataset, variables: Sequence[str], over: Sequence[str])
     return one_axis(dataset, others, [axis]) if others else axis
 
 
-def _lines_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
+def lines_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
+    """Return a figure of variables against an axis, or of the numbers at a single point."""
     if all(dataset[name].size == 1 for name in variables) and not over:
         figure = draw_panels(dataset.squeeze(), variables, _draw_point)
         figure.set_figheight(max(1.0 + 0.3 * figure.get_figwidth(), style.in_letters(20.0)))
@@ -563,7 +565,7 @@ def _draw_point(axes: Axes, dataset: xr.Dataset, variable: str) -> None:
 # Laws
 
 
-def _law_figure(dataset: xr.Dataset, variables: list[str], along: Sequence[str]) -> Figure:
+def law_figure(dataset: xr.Dataset, variables: list[str], along: Sequence[str]) -> Figure:
     """Return a figure of a variable against an axis on logarithmic scales, with the fitted power law and its one-sigma
     band; and below that the residuals from the law in percent, where errors can be seen.
 
@@ -571,7 +573,8 @@ def _law_figure(dataset: xr.Dataset, variables: list[str], along: Sequence[str])
     dashed guide has the exponent that a claim of the study states, and meets the law at its pivot.
     """
     variable = variables[0]
-    over = quantity.require_axis(dataset, variable, (list(along) or quantity.numeric_axes(dataset, variable))[0])
+    axes = [*along, *quantity.numeric_axes(dataset, variable)]
+    over = quantity.require_axis(dataset, variable, axes[0] if axes else None)
     if linear := [name for name in (over, variable) if dataset[name].attrs.get(style.SCALE) == "linear"]:
         raise SweepError(f"a law is drawn on logarithmic axes, and {linear[0]} is to have a linear one")
     dataset = quantity.in_readable_units(_with_effect(dataset, [over]))
@@ -623,7 +626,8 @@ def _power(dataset: xr.Dataset, over: str, exponent: str) -> str:
 # Maps
 
 
-def _map_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
+def map_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
+    """Return a figure of a variable over two axes, and below it how well its values are known."""
     variable, numeric = variables[0], quantity.numeric_axes(dataset, variables[0])
     chosen = [quantity.require_axis(dataset, variable, axis) for axis in over or _two_axes(dataset, variable)]
     if len(chosen) != 2 or len({dataset[axis].dims[0] for axis in chosen}) != 2:
@@ -714,11 +718,6 @@ def _accuracy_in_words(dataset: xr.Dataset, variable: str) -> str:
     return f"errors (1σ) at most {100.0 * relative:.2g} % of the largest{words}" if np.isfinite(relative) else ""
 
 
-LINES = GridFigure(lambda dataset, variable: dataset[variable].dims != (POINT,), _lines_figure)
-LAW = GridFigure(lambda dataset, variable: bool(quantity.numeric_axes(dataset, variable)), _law_figure)
-MAP = GridFigure(lambda d, variable: len({d[a].dims[0] for a in quantity.numeric_axes(d, variable)}) > 1, _map_figure)
-
-
 MOST_PARAMETERS, MOST_PAIRED = 12, 8
 FEW_CURVES = 12  # up to this many curves are drawn one by one
 
@@ -729,7 +728,7 @@ BANDS = ((0.05, 0.95, 0.15, "90 % of the points"), (0.25, 0.75, 0.3, "50 % of th
 # A table or a design
 
 
-def _points_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
+def points_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
     """Return a figure with a row for each variable and a column for each parameter: all, or those in ``over``.  With
     one variable, many parameters take several rows.
     """
@@ -737,7 +736,7 @@ def _points_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str
     return draw_panels(dataset, variables, *draws)
 
 
-def _pairs_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
+def pairs_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
     """Return a figure of parameters in pairs, coloured by a variable."""
     variable, parameters = variables[0], _parameters(dataset, over, MOST_PAIRED)
     further = [str(d) for d in dataset[variable].dims if d != POINT and dataset.sizes[d] > 1]
@@ -761,7 +760,10 @@ def _pairs_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]
     return figure
 
 
-def _curves_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
+def curves_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
+    """Return a figure of variables of points along a dimension of their own."""
+    if POINT not in dataset[variables[0]].dims:
+        raise SweepError("curves are of the points of a table or a design")
     return draw_panels(dataset, variables, partial(_draw_curves, over=one_axis(dataset, variables, over)))
 
 
@@ -792,6 +794,8 @@ def _parameters(dataset: xr.Dataset, over: Sequence[str], most: int) -> list[str
     if unknown := [name for name in over if name not in known]:
         raise SweepError(f"the points do not differ in {shown(unknown[0])}{suggest(unknown[0], known)}")
     chosen = list(over) or known
+    if not chosen:
+        raise SweepError("there are no points of a table or a design that differ in a parameter")
     if len(chosen) > most:
         listed = ", ".join(chosen)
         raise SweepError(f"{len(chosen)} parameters are too many for one picture of {most}: choose --over, {listed}")
@@ -808,7 +812,7 @@ def sampled(dataset: xr.Dataset) -> str | None:
     return next((n for n, v in kept.items() if [v.sizes[d] > 1 for d in v.dims if d not in known] == [True]), None)
 
 
-def _scatter_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
+def scatter_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
     """Return a figure of the samples of two components at one point: those in ``over``, or the first two in the unit of
     the main quantity, or the first two; with ellipses of 68 and 95 % of a normal distribution.
 
@@ -862,16 +866,6 @@ def _scatter_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[st
         words.append(rf"std({style.symbol(name)}) = {text} {formatting.written(unit)}")
     style.legend(figure, title="\n".join([*words, rf"correlation ${covariance[0, 1] / np.prod(sigma):+.2f}$"]))
     return figure
-
-
-def _has_points(dataset: xr.Dataset, variable: str) -> bool:
-    return POINT in dataset[variable].dims and bool(quantity.varied_parameters(dataset))
-
-
-POINTS = GridFigure(_has_points, _points_figure)
-PAIRS = GridFigure(lambda d, name: _has_points(d, name) and len(quantity.varied_parameters(d)) > 1, _pairs_figure)
-CURVES = GridFigure(lambda d, n: _has_points(d, n) and bool(quantity.numeric_axes(d, n, "ifM")), _curves_figure)
-SCATTER = GridFigure(lambda dataset, variable: sampled(dataset) is not None, _scatter_figure)
 
 
 # Analyses: sensitivity indices of parameters, and how a run scales with workers

@@ -100,13 +100,6 @@ def pictures(dataset: xr.Dataset, variables: Sequence[str], number: int) -> list
     return made
 
 
-def link_pictures(result: Result, number: int) -> list[Picture]:
-    """Return all figures that a link or a forecast can have; ``number`` as for `pictures`."""
-    kinds = KINDS[result.kind].items()
-    made = [drawn(result.dataset, one.caption or result.title, f"{number}-{kind}", kind=kind) for kind, one in kinds]
-    return [one for one in made if one.svg]  # of the others the dataset lacks something
-
-
 def drawn(dataset: xr.Dataset, name: str, salt: str, variables: Sequence[str] = (), kind: str | None = None) -> Picture:
     """Return the figure that suits a dataset, or one of a given kind; ``salt`` makes the identifiers in it differ from
     those of other figures.
@@ -473,6 +466,8 @@ def _severity(c: compare.Comparison) -> tuple[int, float]:
 def link_section(store: str, result: Result, number: int) -> dict[str, Any]:
     """Return what the template shows of a link, a forecast or anything derived, the ``number``-th of a page."""
     first, *others = result.tables()
+    kinds = KINDS.get(result.kind, {}).items()
+    figures = [drawn(result.dataset, one.caption or result.title, f"{number}-{kind}", kind=kind) for kind, one in kinds]
     about = [line for line in first.title.splitlines() if line and line != result.title]
     notes = [note.removeprefix("note: ") for note in result.notes()]
     return {
@@ -482,7 +477,7 @@ def link_section(store: str, result: Result, number: int) -> dict[str, Any]:
         "answers": [
             answer.Answer(name, "", said) for name, said in (("What it is", about), ("Warnings", notes)) if said
         ],
-        "pictures": link_pictures(result, number),
+        "pictures": [one for one in figures if one.svg],  # of the others the dataset lacks something
         "explorer": {"quantities": []},
         "results": _sortable(first),
         "caption": "Every unknown, with every kind of error" if result.kind == "tie" else "All numbers",

@@ -26,7 +26,7 @@ mode = ["a", "b"]
 WAVE = "def wave(x: float, mode: str):\n    return {'first': x, 'second': x * len(mode), 'third': -x}\n"
 FIGURES = [('variable = "second"\nat = { mode = "b" }\nlog = ["second"]', 0, ["second"])]
 FIGURES += [('at = { mood = "a" }', 0, ["first"])]  # what a function returns is not known before it runs
-FIGURES += [('kind = "curve"', 1, "no kind 'curve' of first here; possible are lines")]
+FIGURES += [('kind = "curve"', 1, "no kind 'curve' of a grid; did you mean 'curves'")]
 
 
 def axes_of(figure):

@@ -197,6 +197,7 @@ def test_differences_from_a_prediction_are_in_errors_and_have_no_unit(factor):
     assert "units" not in found.attrs
     np.testing.assert_allclose(found.values, (values - 5.0 * factor) / error, rtol=1e-12)
     assert residuals(grid(values, **errors), "width") is None
+    assert "exponent" in report_page([("law", linksweep.fit_power_law(dataset, "width", "size"))])
 
 
 @pytest.mark.slow
