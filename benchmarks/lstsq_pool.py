@@ -17,7 +17,6 @@ from threadpoolctl import threadpool_limits
 from linksweep.core.catalogues import CATALOGUES, V_MAX
 from linksweep.core.errors import MagnitudeErrors
 from linksweep.core.experiment import link
-from linksweep.core.missions import MISSIONS
 
 N_CAT, N_SIM = 100, 100
 
@@ -38,7 +37,7 @@ def catalogue_squares(arguments):
     matrix = design(catalogue.ra, catalogue.dec)
     squares = np.zeros(6)
     with threadpool_limits(1):
-        sigma = MagnitudeErrors(MISSIONS[model]).standard_errors(catalogue).T.ravel()
+        sigma = MagnitudeErrors(model).standard_errors(catalogue).T.ravel()
         weighted = matrix / sigma[:, None]
         for _ in range(N_SIM):
             noisy = rng.normal(0.0, sigma)

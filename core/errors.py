@@ -28,29 +28,30 @@ class ErrorModel:
     coordinate of position and of proper motion, which is added in quadrature.
     """
 
-    # Whether the errors depend on magnitudes.
-    by_magnitude: ClassVar[bool] = False
     # The sides that may have such errors.
     sides: ClassVar[tuple[str, ...]] = SIDES
+    # The parameters of all models, and those of its own by the field that has their value; with {} for the side.
     common: ClassVar[tuple[str, ...]] = (
         *("error_scale", "{}_error_scale", "{}_error_ratio"),
         *("{}_floor_pos", "{}_floor_pm"),
     )
-    # The parameters of all models, and those of its own, with {} for the side.
-    parameters: ClassVar[tuple[str, ...]] = ()
+    parameters: ClassVar[Mapping[str, str]] = {}
 
+    side: str = "satellite"
     scale: float = 1.0
     floor: tuple[float, float] = (0.0, 0.0)
 
     @classmethod
     def uses(cls, side: str) -> frozenset[str]:
         """Return the names of the parameters that it reads, for one side."""
-        return frozenset(name.format(side) for name in (*cls.common, *cls.parameters))
+        return frozenset(name.format(side) for name in (*cls.common, *cls.parameters.values()))
 
     @classmethod
     def from_point(cls, point: Point, side: str) -> Self:
         """Return the model of a side at a point."""
-        return cls(**scale_and_floor(point, side))
+        own: dict[str, Any] = {field: point[name.format(side)] for field, name in cls.parameters.items()}
+        scale = float(point["error_scale"] * point[f"{side}_error_scale"])
+        return cls(**own, side=side, scale=scale, floor=(point[f"{side}_floor_pos"], point[f"{side}_floor_pm"]))
 
     @property
     def is_elementwise(self) -> bool:
@@ -80,19 +81,19 @@ class ErrorModel:
 
     def at_limit(self, point: Point, catalogue: CatalogueKind) -> tuple[float, float]:
         """Return the errors (mas, mas/yr) of an object at the faint limit of a catalogue that is drawn."""
-        position, motion = self.at_magnitude(catalogue.magnitudes(point)[1] if self.by_magnitude else math.nan)
+        position, motion = self.at_faintest(point, catalogue)
         return math.hypot(self.scale * position, self.floor[0]), math.hypot(self.scale * motion, self.floor[1])
 
-    def at_magnitude(self, v_mag: float) -> tuple[float, float]:
-        """Return what `at` gives for one magnitude."""
-        position, motion = self.at(np.array(v_mag))
+    def at_faintest(self, point: Point, catalogue: CatalogueKind) -> tuple[float, float]:
+        """Return what `at` gives for the faint limit of a catalogue; it may not be read where it does not matter."""
+        position, motion = self.at(np.array(math.nan))
         return float(position), float(motion)
 
     def has_errors(self, objects: Catalogue | None) -> bool:
         """Return whether there is any error of the objects that a catalogue lists, or of those that it draws (None)."""
         return self.scale > 0.0 or any(self.floor)
 
-    def problem(self, point: Point, side: str, catalogue: CatalogueKind) -> str | None:
+    def problem(self, point: Point, catalogue: CatalogueKind) -> str | None:
         """Return why the objects of a catalogue cannot have these errors, or None."""
         return None
 
@@ -101,25 +102,14 @@ class ErrorModel:
         return None
 
 
-def scale_and_floor(point: Point, side: str) -> dict[str, Any]:
-    """Return these fields of the model of a side at a point."""
-    floor = point[f"{side}_floor_pos"], point[f"{side}_floor_pm"]
-    return {"scale": float(point["error_scale"] * point[f"{side}_error_scale"]), "floor": floor}
-
-
 @dataclass(frozen=True)
 class NormalErrors(ErrorModel):
     """`"normal"`: the same errors for every object, ``position_mas`` per coordinate and ``motion_mas_yr``."""
 
-    parameters: ClassVar[tuple[str, ...]] = ("{}_sigma_pos", "{}_sigma_pm")
+    parameters: ClassVar[Mapping[str, str]] = {"position_mas": "{}_sigma_pos", "motion_mas_yr": "{}_sigma_pm"}
 
     position_mas: float
     motion_mas_yr: float
-
-    @classmethod
-    def from_point(cls, point: Point, side: str) -> Self:
-        """Return the model with the sigmas of the point."""
-        return cls(point[f"{side}_sigma_pos"], point[f"{side}_sigma_pm"], **scale_and_floor(point, side))
 
     def at(self, v_mag: Array) -> tuple[float, float]:
         """Return the sigmas, whatever the magnitude."""
@@ -134,7 +124,7 @@ class ErrorFree(NormalErrors):
     """`"none"`: no errors, so that scales and floors do not matter either."""
 
     common: ClassVar[tuple[str, ...]] = ()
-    parameters: ClassVar[tuple[str, ...]] = ()
+    parameters: ClassVar[Mapping[str, str]] = {}
 
     @classmethod
     def from_point(cls, point: Point, side: str) -> Self:
@@ -146,17 +136,16 @@ class ErrorFree(NormalErrors):
 class MagnitudeErrors(ErrorModel):
     """`"magnitude"`: the accuracy curve of a mission at a length (None: its nominal one)."""
 
-    by_magnitude = True
     sides = ("satellite",)
-    parameters = ("model", "mission_length")
+    parameters: ClassVar[Mapping[str, str]] = {"model": "model", "mission_length_yr": "mission_length"}
 
-    mission: Mission
+    model: str | Named
     mission_length_yr: float | None = None
 
-    @classmethod
-    def from_point(cls, point: Point, side: str) -> Self:
-        """Return the model with the point's mission and length."""
-        return cls(mission_of(point["model"]), point["mission_length"], **scale_and_floor(point, side))
+    @property
+    def mission(self) -> Mission:
+        """The mission of the model."""
+        return mission_of(self.model)
 
     @property
     def is_elementwise(self) -> bool:
@@ -169,22 +158,21 @@ class MagnitudeErrors(ErrorModel):
         mission, years = self.mission, self.mission_length_yr
         return mission.sigma_pos_mas(v_mag, years), mission.sigma_pm_mas_yr(v_mag, years)
 
-    def at_magnitude(self, v_mag: float) -> tuple[float, float]:
-        """Return the curve at one magnitude, computed once for all scales: a grid has a million points."""
-        return _at_magnitude(self.mission, self.mission_length_yr, v_mag)
+    def at_faintest(self, point: Point, catalogue: CatalogueKind) -> tuple[float, float]:
+        """Return the curve at the limit, computed once for all scales: a grid has a million points."""
+        return _at_magnitude(self.model, self.mission_length_yr, catalogue.magnitudes(point)[1])
 
-    def problem(self, point: Point, side: str, catalogue: CatalogueKind) -> str | None:
+    def problem(self, point: Point, catalogue: CatalogueKind) -> str | None:
         """Return a problem if magnitudes are missing or beyond the end of the curve; raises CurveError where a user's
         function has no valid value.
         """
         brightest, faintest = catalogue.magnitudes(point)
         if math.isnan(faintest):
-            return f"{side}_errors = 'magnitude' needs a magnitude column (v_mag, phot_g_mean_mag, vt_mag) in the file"
-        model, end = point["model"], self.mission.faint_limit_mag
-        if faintest > end:
-            return f"v_max = {faintest:g} mag: the curve of {str(model)!r} ends at {end:g} mag"
-        if not isinstance(model, str):
-            _probe(model, brightest, faintest)
+            return "satellite_errors = 'magnitude' needs a magnitude column (v_mag, phot_g_mean_mag, vt_mag) in the file"
+        if faintest > (end := self.mission.faint_limit_mag):
+            return f"v_max = {faintest:g} mag: the curve of {str(self.model)!r} ends at {end:g} mag"
+        if isinstance(self.model, Named):
+            _probe(self.model, brightest, faintest)
         return None
 
     def warning(self, point: Point, catalogue: CatalogueKind) -> str | None:
@@ -192,7 +180,7 @@ class MagnitudeErrors(ErrorModel):
         (brightest, faintest), (low, high) = catalogue.magnitudes(point), self.mission.valid_mag
         if low <= brightest and faintest <= high:
             return None
-        said = f"model = {str(point['model'])!r}: its accuracy curve is known from V = {low:g} to {high:g}, and the"
+        said = f"model = {str(self.model)!r}: its accuracy curve is known from V = {low:g} to {high:g}, and the"
         return f"{said} catalogue has or may have objects beyond, where it is extrapolated or held at its floor"
 
 
@@ -202,13 +190,6 @@ class CatalogueErrors(ErrorModel):
 
     Raises ValueError for a catalogue without errors of its own.
     """
-
-    side: str = "satellite"
-
-    @classmethod
-    def from_point(cls, point: Point, side: str) -> Self:
-        """Return the model of a side."""
-        return cls(side, **scale_and_floor(point, side))
 
     @property
     def is_elementwise(self) -> bool:
@@ -241,11 +222,11 @@ class CatalogueErrors(ErrorModel):
             raise ValueError("the catalogue has no errors of its own")
         return listed
 
-    def problem(self, point: Point, side: str, catalogue: CatalogueKind) -> str | None:
+    def problem(self, point: Point, catalogue: CatalogueKind) -> str | None:
         """Return a problem unless the objects have errors, and of both sides where both are to have their own."""
         objects = catalogue.objects(point)
-        if objects is None or objects.own_errors(side) is None:
-            return f"{side}_errors = 'catalogue': the {point['catalogue']} catalogue has no errors of its own"
+        if objects is None or objects.own_errors(self.side) is None:
+            return f"{self.side}_errors = 'catalogue': the {point['catalogue']} catalogue has no errors of its own"
         if point["reference_errors"] != point["satellite_errors"] or objects.reference or objects.satellite:
             return None
         said = "reference_errors and satellite_errors are both 'catalogue', but objects have errors of one side only"
@@ -267,9 +248,10 @@ def error_models(point: Point) -> list[ErrorModel]:
 
 
 @lru_cache(maxsize=2**16)
-def _at_magnitude(mission: Mission, length_yr: float | None, v_mag: float) -> tuple[float, float]:
+def _at_magnitude(model: str | Named, length_yr: float | None, v_mag: float) -> tuple[float, float]:
     with np.errstate(all="ignore"):  # far beyond its range a curve is infinite, which is refused later
-        return ErrorModel.at_magnitude(MagnitudeErrors(mission, length_yr), v_mag)
+        position, motion = MagnitudeErrors(model, length_yr).at(np.array(v_mag))
+    return float(position), float(motion)
 
 
 # Cached: every point of a grid asks, and a user's function may take long.

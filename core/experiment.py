@@ -48,8 +48,8 @@ def check(point: Point) -> str | None:
         if problem := _catalogue_problem(point) or _systematics_problem(point):
             return problem
         # before any error is computed: a curve may not reach these magnitudes
-        for side, model in zip(SIDES, models := error_models(point), strict=True):
-            if problem := model.problem(point, side, setup.catalogue_kind(point)):
+        for model in (models := error_models(point)):
+            if problem := model.problem(point, setup.catalogue_kind(point)):
                 return problem
         errors = setup.expected_errors(point, models)
         return _errors_problem(point, errors) or _projected_problem(point, models, errors)
@@ -119,11 +119,11 @@ def _projected_problem(point: Point, models: Sequence[ErrorModel], errors: Array
     if setup.zonal_errors(point) is not None:
         return f"{needs} errors that are independent from object to object, and zonal ones are not"
     objects = setup.catalogue_kind(point).objects(point)
-    for side, model in zip(SIDES, models, strict=True):
-        if point[f"{side}_error_ratio"] != 1.0:
-            return f"{needs} true errors that equal those in the weights: {side}_error_ratio = 1"
+    for model in models:
+        if point[f"{model.side}_error_ratio"] != 1.0:
+            return f"{needs} true errors that equal those in the weights: {model.side}_error_ratio = 1"
         if objects is not None and model.correlation(objects) is not None:
-            return f"{needs} uncorrelated errors, and those of the {side} are correlated"
+            return f"{needs} uncorrelated errors, and those of the {model.side} are correlated"
     if (largest := errors[0, :, :2].max()) <= LARGEST_PROJECTED_ERROR:
         return None
     said = "method = 'projected' takes the reference's positions as exact in the design matrix: an error of"

@@ -24,7 +24,7 @@ OTHER = points.OTHER | NONE
 RANDOM = {"directions": "random", "epsilon": (1.0, 2.0, 3.0)}
 RATIO = {"satellite_error_ratio": 2.0, "satellite_errors": "normal"}
 NORMAL = {"reference_errors": NormalErrors(10.0, 1.0), "satellite_errors": NormalErrors(1.0, 1.0)}
-OWN = {"reference_errors": CatalogueErrors("reference"), "satellite_errors": CatalogueErrors()}
+OWN = {"reference_errors": CatalogueErrors(side="reference"), "satellite_errors": CatalogueErrors()}
 
 
 @pytest.mark.parametrize("changes", [{}, {"reference_errors": "normal"}, {"solve_glide": True}])
@@ -156,7 +156,7 @@ def test_no_bit_depends_on_who_shares_the_draw(changes, n_sim, seed):
 def test_a_users_accuracy_curve_is_computed_for_each_catalogue_by_itself():
     """It may round otherwise among other objects: here by 1e-12 for each of them."""
     curve = points.FunctionCurve(points.Function(lambda v_mag: np.full(len(v_mag), 0.3 * (1.0 + 1e-12 * len(v_mag)))))
-    mission = points.Mission(curve, curve, 1.0, np.inf, "a test")
+    mission = points.Named("a test", "", points.Mission(curve, curve, 1.0, np.inf, "a test"))
     limits = [scenario(point(catalogue="quasars", n_obj=None, v_max=v)) for v in (14.0, 15.0)]
     both = [replace(one, satellite_errors=points.MagnitudeErrors(mission)) for one in limits]
     together, alone = (points.simulate(some, 30, [generators()]) for some in (both, both[:1]))
