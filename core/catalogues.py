@@ -14,6 +14,7 @@ from linksweep.core.frames import DEGREE, GALACTIC_AXES, MAS, Array, Indices, po
 from linksweep.sweep.contract import Point
 
 SIDES = ("reference", "satellite")
+NEEDS_MAGNITUDES = "needs a magnitude column (v_mag, phot_g_mean_mag, vt_mag) in the file"
 
 
 class OwnErrors(NamedTuple):
@@ -562,7 +563,7 @@ class File(CatalogueKind):
         """Return a problem unless the table is readable and has enough rows; limits need magnitudes."""
         limits = [name for name in ("v_min", "v_max") if point[name] is not None]
         if limits and np.any(np.isnan(_whole(_key(point)).v_mag)):
-            return f"{limits[-1]} needs a magnitude column (v_mag, phot_g_mean_mag, vt_mag) in the file"
+            return f"{limits[-1]} {NEEDS_MAGNITUDES}"
         return _too_few(point, self.available(point), "objects of the file")
 
 

@@ -12,7 +12,7 @@ The projected method draws these products, not the errors of every object.  With
 u = Q^T z are unit normals, P^T z = R^T u, and the squared length of z outside the columns of Q is an independent
 chi-square of 4N - C degrees of freedom.  So C normals and a chi-square have exactly the distribution of 4N normals,
 whatever N.  This needs normal, uncorrelated errors and a fixed design.  Where the reference has errors the design
-changes with them, which is neglected here: `neglected` bounds the effect.
+changes with them, which is neglected here: `neglected` says how large the effect is.
 
 Noisy design: normal equations are added up over objects, for many realisations at once, without their design matrices.
 With sin and cos s, c of ra and S, C of dec (p = (-s, c, 0), q = (-S c, -S s, C), eta = (c, s, 0)/C), the entries of
@@ -30,16 +30,16 @@ import numpy as np
 
 from linksweep.core import frames
 from linksweep.core.frames import Array, LinkError, product_sum
-from linksweep.core.setup import Noise, Prefixes, Setup, SharedSums, Tile, origin, parts
+from linksweep.core.setup import Noise, Prefixes, Setup, SharedSums, Tile, origin, parts, tiles
 from linksweep.core.unknowns import GLIDE, ORIENTATION, SPIN, link_unknowns
 
 # A function that returns, after the last tile of a chunk, what `Matrices.solved` needs, or of a noisy design what that
 # gives.
 Solved = Callable[[], tuple[Array, Array]]
 
-# Largest bound of `neglected` that is allowed, as a fraction of sigma.  Where it was tried, the effect was 13 to 75
-# times smaller than the bound: below the Monte-Carlo error of a million realisations.
-LARGEST_NEGLECT = 0.01
+# Largest effect of `neglected` that is allowed, as a fraction of sigma: about the Monte-Carlo error of a million
+# realisations.  So many are tried.
+LARGEST_NEGLECT, TRIED = 0.001, 16
 
 
 @dataclass(frozen=True)
@@ -134,10 +134,6 @@ class FixedDesign(Matrices):
         dof = setup.n_obj * 2 * sum(setup.measured) - len(setup.truth) + len(setup.truth[setup.fixed])
         known = setup.optimal and setup.reference.as_weighed and setup.satellite.as_weighed
         return (2.0 * dof + 4.0 * self.residual_squares) * (1.0 if known else np.nan)
-
-    def residual(self, part: slice) -> Array:
-        """Return r of some objects; shape (n, 4)."""
-        return np.asarray(self.columns[part, :, -1] - self.columns[part, :, : len(self.bias)] @ self.bias)
 
 
 def fixed_designs(setups: Sequence[Setup], shared: Prefixes) -> tuple[list[FixedDesign], Matrices]:
@@ -244,61 +240,24 @@ class Projected:
 
 
 def neglected(design: FixedDesign) -> Array:
-    """Return a bound, in units of sigma, of the RMS error of each unknown from the fixed design; shape (K,).
-
-    It is of first order in the change D of the design with the errors of the reference: with the gain (A^T W A)^-1 A^T
-    W the estimate changes by (A^T W A)^-1 (D^T W e - A^T W D x), where e are errors and residuals and x is truth plus
-    error of the estimate.  The mean of this change comes from the only product of an error with itself, e_ra and the
-    turn of q with ra.  Its scatter is bounded by the squared norms of both terms, added up over objects for
-    orientation, spin and glide, with the rows of (A^T W A)^-1 (Cauchy and Schwarz); E(a b)^2 <= 3 E a^2 E b^2 for
-    normal a and b.
+    """Return the RMS, in units of sigma, of what the fixed design changes in each unknown, in a few realisations that
+    are solved with their own designs too; shape (K,).
     """
-    setup, unknowns = design.setup, len(design.bias)
+    setup, columns = design.setup, design.columns
     if not setup.reference:
-        return np.zeros(unknowns)
-    predicted = np.diag(design.predicted_covariance())
-    # E x^2 of orientation, spin and glide
-    size = 2.0 * np.square(np.abs(setup.truth) + np.abs(design.bias)) + 6.0 * predicted
-    blocks = len(link_unknowns(setup.scenario.solve_glide).blocks)
-    squares, mean = np.zeros(blocks), np.zeros(unknowns)
-    for part in parts(len(design.columns)):
-        squares += _squared_changes(design, part, size.reshape(blocks, -1).sum(axis=1))
-        mean[ORIENTATION] += _mean_change(design, part)
-    rows = np.square(design.inverse).reshape(unknowns, blocks, -1).sum(axis=2)
-    bound = rows @ squares * len(squares) + np.square(design.inverse @ mean)
-    return np.asarray(np.sqrt(np.divide(bound, predicted, out=np.zeros_like(bound), where=predicted > 0.0)))
-
-
-def _squared_changes(design: FixedDesign, part: slice, size: Array) -> Array:
-    """Return bounds of E|D^T W e - A^T W D x|^2, added up over objects, for orientation, spin and glide; (blocks,)."""
-    setup, catalogue = design.setup, design.setup.catalogue
-    counted = setup.counted[:, None]
-    square_sec = np.cos(catalogue.dec[part]) ** -2.0
-    reference, variance = np.square(setup.reference.sigma[part]).T, np.square(setup.sigma[part]).T
-    weight = counted * (variance**-2.0 if setup.optimal else np.ones_like(variance))  # squared
-    error = 3.0 * variance * (1.0 + np.square(design.residual(part).T))
-    # E|D|^2: p and q turn with ra and dec by at most 1/cos dec, pmdec eta and pmra eta with the motions too
-    turn = square_sec * (reference[0] + reference[1])
-    eta = square_sec * np.square([catalogue.pmdec[part], catalogue.pmra[part]])
-    eta_turn = 2.0 * (square_sec * reference[[3, 2]] + eta * turn)
-    if not setup.scenario.corrections:
-        eta, eta_turn = np.zeros_like(eta), np.zeros_like(eta)
-    positions = weight[:2] * turn * (error[:2] + size[0])
-    misfit = 3.0 * (size[1:].sum() * turn + size[0] * eta_turn)
-    motions = weight[2:] * (error[2:] * turn + misfit)
-    turned = weight[2:] * (error[2:] * eta_turn + eta * misfit)
-    # (a + ...)^2 <= 8 (a^2 + ...), both terms of four observables
-    return 8.0 * np.array([positions.sum() + turned.sum(), *[motions.sum()] * (len(size) - 1)])
-
-
-def _mean_change(design: FixedDesign, part: slice) -> Array:
-    """Return E[D^T W e] of the orientation added up over objects; q changes by -tan dec p with ra*.  Shape (3,)."""
-    catalogue, setup = design.setup.catalogue, design.setup
-    ra, dec = catalogue.ra[part], catalogue.dec[part]
-    size = np.tan(dec) * np.square(setup.reference.sigma[part, 0])
-    if setup.optimal:
-        size /= np.square(setup.sigma[part, 0])
-    return np.array([np.sum(size * np.sin(ra)), -np.sum(size * np.cos(ra)), 0.0])
+        return np.zeros(len(design.bias))
+    noisy, products = NoisyDesign(setup), np.zeros((columns.shape[2], TRIED))
+    solved = noisy.begin(TRIED, None, SharedSums())
+    both = (tiles([rng], (), TRIED, setup.n_obj) for rng in np.random.default_rng(1).spawn(2))
+    for satellite, reference in zip(*both, strict=True):
+        noisy.add(satellite, reference)
+        place = slice(reference.start, reference.start + len(reference.normals))
+        sides = (setup.satellite, satellite), (setup.reference, reference)
+        one, other = (side.sigma[place, :, None] * tile.normals for side, tile in sides)
+        products += frames.transposed_product(columns[place], (one - other) / setup.sigma[place, :, None])
+    change = np.sqrt(np.mean((solved()[0] - design.solved(products, np.zeros(()))[0]) ** 2, axis=1))
+    sigma = np.sqrt(np.diag(design.predicted_covariance()))
+    return np.asarray(np.divide(change, sigma, out=np.zeros_like(change), where=sigma > 0.0))
 
 
 # ---- noisy design

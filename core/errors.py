@@ -11,7 +11,7 @@ from typing import Any, ClassVar, Self
 
 import numpy as np
 
-from linksweep.core.catalogues import SIDES, Catalogue, CatalogueKind, OwnErrors
+from linksweep.core.catalogues import NEEDS_MAGNITUDES, SIDES, Catalogue, CatalogueKind, OwnErrors
 from linksweep.core.frames import MAS, Array
 from linksweep.core.missions import CurveError, FunctionCurve, Mission, mission_of
 from linksweep.sweep.contract import Named, Point
@@ -168,7 +168,7 @@ class MagnitudeErrors(ErrorModel):
         """
         brightest, faintest = catalogue.magnitudes(point)
         if math.isnan(faintest):
-            return "satellite_errors = 'magnitude' needs a magnitude column (v_mag, phot_g_mean_mag, vt_mag) in the file"
+            return f"satellite_errors = 'magnitude' {NEEDS_MAGNITUDES}"
         if faintest > (end := self.mission.faint_limit_mag):
             return f"v_max = {faintest:g} mag: the curve of {str(self.model)!r} ends at {end:g} mag"
         if isinstance(self.model, Named):

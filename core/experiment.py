@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from linksweep.core import setup
-from linksweep.core.catalogues import CATALOGUES, RANDOM_SKY, SIDES, File
+from linksweep.core.catalogues import CATALOGUES, NEEDS_MAGNITUDES, RANDOM_SKY, SIDES, File
 from linksweep.core.errors import ERROR_MODELS, ErrorModel, error_models
 from linksweep.core.frames import Array
 from linksweep.core.parameters import OUTPUTS, PARAMETERS, SAMPLE_OUTPUTS, SHARED, UNITS
@@ -22,8 +22,7 @@ from linksweep.sweep.contract import Experiment, Point, SweepError, enlarged_err
 # angle.
 SMALLEST_ERROR, LARGEST_ERROR = 1e-9, 1e7
 
-# Position error of the reference in mas beyond which `core.designs.neglected` is too large for any isotropic
-# catalogue.
+# Position error of the reference in mas beyond which `core.designs.neglected` is too large for isotropic catalogues.
 LARGEST_PROJECTED_ERROR = 50_000.0
 
 # Objects that are needed to determine nine unknowns: two give only eight observables.
@@ -79,7 +78,7 @@ def _systematics_problem(point: Point) -> str | None:
         if name not in random and point[f"{name}_size"] and not any(point[name]):
             return f"{name}_size = {point[f'{name}_size']:g}: {name} = {list(point[name])} gives it no direction"
     if setup.systematics(point).need_magnitudes and any(map(math.isnan, setup.catalogue_kind(point).magnitudes(point))):
-        return "omega_slope and magnitude equations need magnitudes (v_mag, phot_g_mean_mag, vt_mag) in the file"
+        return f"an omega_slope or magnitude equation {NEEDS_MAGNITUDES}"
     return None
 
 

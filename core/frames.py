@@ -10,7 +10,8 @@ Conventions of `linksweep.core`, the same in every module (a test checks each):
   ``r_ref = R r_sat`` and ``v_ref = R v_sat + omega x r_ref`` with ``R = exp([epsilon x])``.
 * The four observables of an object are, in this order, ``(d alpha*, d dec, d pmra, d pmdec)``; the unknowns
   are ``(epsilon_x, epsilon_y, epsilon_z, omega_x, omega_y, omega_z)``.
-* Every random number comes from a generator that the caller passes in.
+* Every random number comes from a generator that the caller passes in, except the few of `designs.neglected`, which
+  are always the same.
 
 Nothing here prints, logs, reads a clock, touches a file or imports dask, xarray, zarr or click.
 

@@ -7,7 +7,7 @@ mistake that was made is the one whose correction brings chi2 down to the level 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from functools import cache, partial
-from itertools import chain, combinations, product
+from itertools import combinations, product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -280,7 +280,8 @@ def explains(corrected: float, ratio: float) -> bool:
 def _causes(problem: Problem, parts: Iterable[_Part], ratio: float) -> Iterator[Cause]:
     """Yield the mistakes in parts whose correction brings chi2 down to the level of good tables."""
     for part in parts:
-        for words, hides, trial in chain(_trials(problem, part), _shifted(problem, part)):
+        for words, hides, change in _corrections(problem, part):
+            trial = _applied(problem, part, change)
             # errors that are too small are so for all sources
             if explains(corrected := _ratio(trial), ratio) and (not hides or 0.1 < _ratio(trial, typical=True) < GOOD):
                 yield Cause(words, corrected, hides)
@@ -300,38 +301,40 @@ def impossible(errors: Array, epoch: Array) -> Flags:
     return np.asarray((errors[0] < 10.0 * MAS) & ((epoch < EARLIEST) | (epoch > LATEST)))
 
 
-def _trials(problem: Problem, part: _Part) -> Iterator[tuple[str, int, Problem]]:
-    """Yield mistakes in a part, how much their corrections hide, and the problem when they are corrected."""
-    for words, hides, change in _corrections(problem, part.table):
-        if (trial := _applied(problem, part, change)) is not None:
-            yield words.format(part.words), hides, trial
-
-
-def _corrections(problem: Problem, table: str) -> Iterator[tuple[str, int, Change]]:
-    """Yield the mistake, how much its correction hides, and the change of a table that corrects it."""
-    dec = problem.satellite.values[1]
-    factor = np.ones((5, len(dec if table == "satellite" else problem.source)))
+def _corrections(problem: Problem, part: _Part) -> Iterator[tuple[str, int, Change]]:
+    """Yield mistakes in a part, how much their corrections hide, and the changes of its table that correct them."""
+    table, words, dec = part.table, part.words, problem.satellite.values[1]
+    factor = np.ones((5, len(part.at)))
     factor[3] = np.cos(dec if table == "satellite" else dec[problem.source])
     both = partial(_changed, ("values", "errors"))
-    cos_dec = f"pmra of {{}} is mu_alpha, without cos(dec): say --without-cos-dec {table}"
+    cos_dec = f"pmra of {words} is mu_alpha, without cos(dec): say --without-cos-dec {table}"
     yield cos_dec, 0, both(lambda array: array * factor)
-    yield "pmra of {} has a factor cos(dec) too many", 0, both(lambda array: array / factor)
-    yield "pmra and pmdec of {} exchanged", 0, both(lambda array: array[[0, 1, 2, 4, 3]])
+    yield f"pmra of {words} has a factor cos(dec) too many", 0, both(lambda array: array / factor)
+    yield f"pmra and pmdec of {words} exchanged", 0, both(lambda array: array[[0, 1, 2, 4, 3]])
     for name, rows in NOT_POSITIONS.items():
-        yield f"{name} of {{}} with reversed sign", 0, _scaled(rows, -1.0, values=True)
+        yield f"{name} of {words} with reversed sign", 0, _scaled(rows, -1.0, values=True)
     if table != "satellite":
-        mean = "mean positions of {} taken as those of a single epoch, or the other way round"
+        mean = f"mean positions of {words} taken as those of a single epoch, or the other way round"
         yield mean, 0, _changed(["apparent"], np.logical_not)
     for ratio, unit, name, rows in _in_units(SMALLER | LARGER | RATES, NOT_POSITIONS):
-        yield f"{name} of {{}}, {unit}", 0, _scaled(rows, ratio, values=True)
-        yield f"{name} and their errors of {{}}, {unit}", 0, _scaled(rows, ratio, values=True, errors=True)
+        yield f"{name} of {words}, {unit}", 0, _scaled(rows, ratio, values=True)
+        yield f"{name} and their errors of {words}, {unit}", 0, _scaled(rows, ratio, values=True, errors=True)
     if table == "satellite" and problem.satellite.further is not None:
-        orbits = "orbits of {} that the other table does not have"
+        orbits = f"orbits of {words} that the other table does not have"
         yield orbits, 0, _changed(["further"], lambda further: further * np.array([[1.0]] * 4 + [[0.0]]))
-        mean = "positions of {} that are averages: say --accelerations mean"
+        mean = f"positions of {words} that are averages: say --accelerations mean"
         yield mean, 0, lambda table: replace(table, averaged=np.full(len(table), HALF_SPAN))
     for ratio, unit, name, rows in _in_units(SMALLER, WITH_ERRORS):
-        yield f"errors of {name} of {{}} too small, {unit}", HIDES_ALL, _scaled(rows, ratio, errors=True)
+        yield f"errors of {name} of {words} too small, {unit}", HIDES_ALL, _scaled(rows, ratio, errors=True)
+    shift = best_shift(lambda years: _ratio(_applied(problem, part, _later(years)) if years else problem))
+    moved = _later(shift)(problem.satellite if table == "satellite" else problem.rows)
+    if not np.any(part.at & impossible(moved.errors, moved.epoch)):
+        early = "early" if shift > 0.0 else "late"
+        yield f"epochs of {words} {round(abs(shift), 2):.3g} years too {early}", 0, _later(shift)
+
+
+def _later(years: float) -> Change:
+    return _changed(["epoch"], lambda epoch: epoch + years)
 
 
 def _in_units(factors: dict[float, str], quantities: dict[str, Rows]) -> Iterator[tuple[float, str, str, Rows]]:
@@ -425,20 +428,6 @@ def _ratio(problem: Problem | None, typical: bool = False) -> float:
 def _each(sums: NormalSums, solution: Solution) -> Array:
     """Return chi2 of each source over its number of observations."""
     return discrepancies(sums, solution.estimate) / np.maximum(sums.count, 1.0)
-
-
-def _shifted(problem: Problem, part: _Part) -> Iterator[tuple[str, int, Problem]]:
-    """Yield, as `_trials`, the shift of epochs with the smallest chi2, unless no position had such errors then."""
-
-    def moved(years: float) -> Problem | None:
-        return _applied(problem, part, lambda table: replace(table, epoch=table.epoch + years)) if years else problem
-
-    shift = best_shift(lambda years: _ratio(moved(years)))
-    if (trial := moved(shift)) is not None:
-        table = trial.satellite if part.table == "satellite" else trial.rows
-        if not np.any(part.at & impossible(table.errors, table.epoch)):
-            early = "early" if shift > 0.0 else "late"
-            yield f"epochs of {part.words} {round(abs(shift), 2):.3g} years too {early}", 0, trial
 
 
 def best_shift(at: Callable[[float], float]) -> float:

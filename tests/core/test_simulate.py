@@ -191,7 +191,7 @@ def test_estimates_have_the_distribution_of_the_catalogue_method(changes):
 
 
 @pytest.mark.parametrize("changes", few(4, NEGLECTED[::-1]))
-def test_what_is_neglected_is_bounded(changes):
+def test_how_much_is_neglected(changes):
     """The same errors of arcseconds, with the design of each realisation and with the one of the true reference."""
     both = ARCSEC | {"satellite_errors": "normal", "satellite_sigma_pos": 700.0, "satellite_sigma_pm": 200.0}
     physics = physics_of(**TWELVE | both | changes)
@@ -210,9 +210,7 @@ def test_what_is_neglected_is_bounded(changes):
             y = setup.differences.T + errors[0] - errors[1]
             found.append(solve(a, y, setup.sigma.T, setup.scenario.weighting).estimate)
     rms = np.sqrt(np.mean((np.array(whole) - np.array(fixed)) ** 2, axis=0)) / sigma
-    bound = points.neglected(design)
-    assert np.all(rms < bound)
-    assert np.all(rms > bound / 500)  # so the bound is about it
+    np.testing.assert_allclose(points.neglected(design), rms, rtol=0.8)  # both from few realisations
 
 
 def test_errors_of_an_arcsecond_may_be_projected_and_much_larger_ones_not():
@@ -223,5 +221,5 @@ def test_errors_of_an_arcsecond_may_be_projected_and_much_larger_ones_not():
         if fits:
             assert np.all(np.isfinite(run(points.scenario(one), 2)["estimate"]))
         else:
-            with pytest.raises(LinkError, match=r"would neglect .* of sigma"):
+            with pytest.raises(LinkError, match="would neglect .* of sigma|celestial pole"):
                 run(points.scenario(one), 2)
