@@ -221,5 +221,5 @@ def test_errors_of_an_arcsecond_may_be_projected_and_much_larger_ones_not():
         if fits:
             assert np.all(np.isfinite(run(points.scenario(one), 2)["estimate"]))
         else:
-            with pytest.raises(LinkError, match="would neglect .* of sigma|celestial pole"):
+            with pytest.raises(LinkError, match=r"would neglect .* of sigma|celestial pole"):
                 run(points.scenario(one), 2)
