@@ -200,36 +200,37 @@ def lines_of(dataset: xr.Dataset, variable: str, over: str, least: int = 2) -> L
     NaN where fewer than ``least`` of its errors are known.
     """
     dimension = str(dataset[over].dims[0])
-    pair = (dimension, f"{dimension}_other")
+    pair, along = (dimension, f"{dimension}_other"), dataset[over].values
+    order = np.argsort(along, kind="stable")
     if dimension == POINT:  # a table may repeat a point
-        dataset = dataset.isel({dimension: np.unique(dataset[over].values, return_index=True)[1]})
+        order = np.unique(along, return_index=True)[1]
+    dataset = dataset.isel({dimension: order})
     others = tuple(str(d) for d in dataset[variable].dims if d != dimension)
     covariance = quantity.covariance_along(dataset, variable, dimension)
     if covariance is not None:
         covariance = covariance.isel({pair[1]: quantity.places_of_others(dataset, variable, dimension)})
     samples, error = quantity.samples_along(dataset, variable, dimension), quantity.standard_error(dataset, variable)
-    order = np.argsort(dataset[over].values, kind="stable")
 
     def rows(array: xr.DataArray, *last: str) -> NDArray[Any]:
-        """Return values of shape (lines, *last), in the order of the axis."""
+        """Return values of shape (lines, *last)."""
         shape = {d: dataset.sizes[d.removesuffix("_other")] for d in (*others, *last)}
-        whole: xr.Variable = array.variable.set_dims(shape)  # type: ignore[no-untyped-call]
-        values = whole.isel(dict.fromkeys(last, order)).transpose(*others, *last).values
+        values = array.variable.set_dims(shape).values  # type: ignore[no-untyped-call]
         return np.asarray(values.reshape(-1, *values.shape[len(others) :]))
 
     status_of = dataset["status"]
     if (ragged := dataset[variable].attrs.get(RAGGED)) is not None:
         status_of = status_of.where(~(dataset[ragged] >= dataset[variable + LENGTH]), int(Status.EXCLUDED))
-    x, status = quantity.numbers(dataset, over).values[order], rows(status_of, dimension)
-    value = rows(numbers := quantity.numbers(dataset, variable), dimension)
-    none = np.nan * numbers
-    errors = rows(none if error is None else error, dimension) if covariance is None else rows(covariance, *pair)
+    x, numbers = quantity.numbers(dataset, over).values, quantity.numbers(dataset, variable)
+    value, status = rows(numbers, dimension), rows(status_of, dimension)
+    errors = rows(np.nan * numbers if error is None else error, dimension)
+    if covariance is not None:
+        errors = rows(covariance, *pair)
     made = []
     for number, (index, unit) in enumerate(
         zip(quantity.places_along(dataset, others), quantity.units_along(dataset, variable, others), strict=True)
     ):
         used = (status[number] != Status.EXCLUDED) & ~(np.isnan(x) & (least > 1))
-        spread = errors[number][used] if covariance is None else errors[number][np.ix_(used, used)]
+        spread = errors[number][np.ix_(*[used] * errors[number].ndim)]
         are_few = np.count_nonzero((spread > 0.0) & np.isfinite(spread)) < least and spread.any()
         n = np.nan if are_few and covariance is None and error is not None else samples
         made.append(Line(index, unit, x[used], value[number, used], spread, status[number, used], n))

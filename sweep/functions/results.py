@@ -4,6 +4,7 @@ dimensions with coordinates and units; and says how two layouts differ.
 
 import datetime
 import math
+import re
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, fields, is_dataclass, replace
@@ -274,6 +275,8 @@ def unit_of(value: Any) -> str:
     return str(stated or unit).replace("dimensionless", "")
 
 
+LONE_SURROGATE = re.compile("[\ud800-\udfff]")
+
 IN_UTC = (
     "results are in UTC without one: .astimezone(timezone.utc).replace(tzinfo=None), or .tz_convert(None) in pandas"
 )
@@ -323,21 +326,18 @@ def _typed(value: Any) -> tuple[Type, NDArray[Any]]:
         array = np.asarray(value) if is_array else np.array(None, dtype=object)
         if not is_array:
             array[()] = value
-    kind = array.dtype.kind
-    if kind in "OUT" and array.size == 0:  # of an empty list: the type that becomes that of other numbers
-        return ("int", array.astype("i8")) if kind == "O" else ("text", array.astype(object))
-    if kind == "b":
-        return "bool", array
-    if kind in "OUT" or (kind == "u" and array.max(initial=0) >= 2**63):
-        return _of_objects(array.astype(object))
-    if kind in "iu":
-        return "int", array.astype("i8")
-    if kind == "f" and array.dtype.itemsize <= 8:
-        return "float", array.astype("f8")
-    if kind == "M":
+    code = array.dtype.kind
+    if code in "OUT" or (code == "u" and array.max(initial=0) >= 2**63):
+        return _of_objects(array.astype(object), "int" if code == "O" else "text")
+    if code == "M":
         return "datetime", _times(array)
+    if code in CODES and array.dtype.itemsize <= 8:
+        return CODES[code], array.astype(DTYPES[CODES[code]])
     raise ResultError(f"is of type {array.dtype}; {ALLOWED}")
 
+
+# The types of arrays by the codes of NumPy's kinds.
+CODES: dict[str, Type] = {"b": "bool", "i": "int", "u": "int", "f": "float"}
 
 # The classes of single values of each type.
 CLASSES: dict[Type, tuple[type, ...]] = {
@@ -349,13 +349,15 @@ CLASSES: dict[Type, tuple[type, ...]] = {
 }
 
 
-def _of_objects(array: NDArray[Any]) -> tuple[Type, NDArray[Any]]:
-    """Return the type of an array of Python's objects, and its array; raises ResultError as `value_of`."""
+def _of_objects(array: NDArray[Any], empty: Type) -> tuple[Type, NDArray[Any]]:
+    """Return the type of an array of Python's objects, ``empty`` if it has none, and its array; raises ResultError as
+    `value_of`.
+    """
     elements = array.reshape(-1).tolist()
     kinds = {
         kind: next((t for t in CLASSES if issubclass(kind, CLASSES[t])), None) for kind in set(map(type, elements))
     }
-    types = set(kinds.values())
+    types = set(kinds.values()) or {empty}
     if None in types or (len(types) > 1 and types != NUMBERS):
         raise ResultError(f"is of type {', '.join(sorted(kind.__name__ for kind in kinds))}; {ALLOWED}")
     if "int" in types:
@@ -364,19 +366,15 @@ def _of_objects(array: NDArray[Any]) -> tuple[Type, NDArray[Any]]:
             raise ResultError(f"is {shown(large[0])}; integers are below 2**63 in size")
         if len(types) > 1 and (beyond := beyond_floats(whole)) is not None:
             raise ResultError(f"has {beyond}, an integer beyond 2**53, beside floats, which cannot hold it")
-        return ("float", array.astype("f8")) if len(types) > 1 else ("int", array.astype("i8"))
-    (kind,) = types
+    kind: Any = "float" if len(types) > 1 else types.pop()
     if kind == "text":
         texts = [str.__str__(element) for element in elements]  # members of an enumeration have another str()
-        for text in texts:
-            try:
-                text.encode()
-            except UnicodeEncodeError as error:
-                raise ResultError(f"is {text!a}, which has a lone surrogate: no file can hold it") from error
+        if strange := [text for text in texts if LONE_SURROGATE.search(text)]:
+            raise ResultError(f"is {strange[0]!a}, which has a lone surrogate: no file can hold it")
         return "text", np.array(texts, dtype=object).reshape(array.shape)
     if kind == "datetime":
         return "datetime", np.array([_time(element) for element in elements], dtype="M8[ns]").reshape(array.shape)
-    return ("bool", array.astype(bool)) if kind == "bool" else ("float", array.astype("f8"))
+    return kind, array.astype(DTYPES[kind])
 
 
 def _time(value: datetime.date) -> Any:
