@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.sweep.contract import FEW, FEWEST_SAMPLES, Array, Status, SweepError, refused, shown, suggest
-from linksweep.sweep.contract.rows import LENGTH, count_status, small_sample_factor, unfinished_in_words
+from linksweep.sweep.contract.rows import LENGTH, beyond_floats, count_status, small_sample_factor, unfinished_in_words
 from linksweep.sweep.formatting import ERRORS, RAGGED, first_of, is_missing, is_truth, plain, prefixed, units_of
 from linksweep.sweep.planning.grid import Grid, GridPoint
 from linksweep.sweep.stores.store import RUNNING, finished
@@ -111,12 +111,10 @@ def require_quantity(dataset: xr.Dataset, variable: str) -> None:
 
 
 def numbers(dataset: xr.Dataset, name: str) -> xr.DataArray:
-    """Return a variable as floats, to compute with; raises SweepError for integers, beyond 2**53, that none is."""
-    values, floats = dataset[name].values, dataset[name].astype(float)
-    beyond = values[np.abs(floats.values) >= 2.0**53].tolist() if values.dtype.kind in "iu" else []
-    if lost := [number for number in beyond if number != float(number)]:
-        raise SweepError(f"{name} is {lost[0]}, which no float is: return it less a number that is near, or as a float")
-    return floats
+    """Return a variable as floats, to compute with; raises SweepError for integers beyond 2**53."""
+    if dataset[name].dtype.kind in "iu" and (lost := beyond_floats(dataset[name].values)) is not None:
+        raise SweepError(f"{name} is {lost}, beyond 2**53: return it less a number that is near, or as a float")
+    return dataset[name].astype(float)
 
 
 def standard_error(dataset: xr.Dataset, variable: str) -> xr.DataArray | None:
@@ -381,12 +379,9 @@ def components_of(dataset: xr.Dataset, variable: str) -> Iterator[tuple[str, str
 
 def place_at(dataset: xr.Dataset, index: Mapping[str, int]) -> dict[str, Any]:
     """Return the values of the axes at an index along dimensions, in the order of the grid (Zarr sorts by name)."""
-    places: dict[str, Any] = {}
-    for dimension in (d for d in dict.fromkeys([*axes_of(dataset), *index]) if d in index):
-        names = dict.fromkeys([dimension, *map(str, dataset.coords)])
-        along = [n for n in names if n in dataset.coords and dataset[n].dims == (dimension,)]
-        places |= {name: listed(dataset, name, [dimension], [index[dimension]])[0] for name in along}
-    return places
+    order = [dim for dim in dict.fromkeys([*axes_of(dataset), *index]) if dim in index]
+    along = {name: str(dataset[name].dims[0]) for name in axis_coordinates(dataset, order)}
+    return {name: listed(dataset, name, [dim], [index[dim]])[0] for name, dim in along.items()}
 
 
 def place_in_words(where: Mapping[str, Any], dataset: Any = ()) -> str:
