@@ -168,7 +168,7 @@ def law_of(dataset, variable="width", over="n"):
         (lambda: fit_levelling(grid(N).isel(n=[0, 1, 2]), "width", "n"), "4 points are .* n; there are 3 at model=old"),
         (lambda: interpolate(grid(N), "width", "n", 301.0), "n = 301 is beyond the points, which go from 10 to 300"),
         *((lambda at=at: interpolate(PLAIN, "width", "n", at), f"n = {at!r}: must be") for at in ("30", np.nan)),
-        *((call, "width is 4611686018427387914, beyond 2**53") for call in OF_LARGE),
+        *((call, "width is 4611686018427387914, beyond") for call in OF_LARGE),
         *((lambda c=c: find(PLAIN, c, "n"), "condition is VARIABLE|a unit that astropy knows") for c in NO_CONDITIONS),
     ],
 )
