@@ -93,7 +93,7 @@ def test_the_band_of_a_drawn_law_is_that_of_its_errors(seed, samples):
     dataset["width"].attrs["units"] = "mas"
     upper = linksweep.plot(dataset, "law").axes[0]
     law, spread = best(x, y, covariance, samples)
-    [band] = [one for one in upper.collections if str(one.get_label()).startswith("_law band")]
+    [band] = [one for one in upper.collections if "Bands" in str(one.get_label())]
     corners = band.get_paths()[0].vertices
     for at in (x[0], x[-1]):
         heights = corners[np.isclose(corners[:, 0], at, rtol=1e-9), 1]
