@@ -205,8 +205,7 @@ def with_literal_texts(dataset: xr.Dataset) -> xr.Dataset:
     texts = {n: array for n, array in dataset.variables.items() if array.dtype.kind in "OUT"}
     marked = {n: array for n, array in texts.items() if any("$" in str(text) for text in array.values.flat)}
     changed = {n: a.copy(data=np.vectorize(literal, otypes="O")(a.values.astype(object))) for n, a in marked.items()}
-    named = {name: literal(text) for name, text in dataset.attrs.items() if name == "title"}
-    return dataset.assign(changed).assign_attrs(named)
+    return dataset.assign(changed).assign_attrs(title=literal(dataset.attrs.get("title", "")))
 
 
 def symbol(name: str, attributes: Mapping[str, Any] | None = None) -> str:
@@ -595,14 +594,13 @@ def caption(figure: Figure, dataset: xr.Dataset, with_answer: bool = False) -> s
 def description(figure: Figure, dataset: xr.Dataset) -> str:
     """Return what is seen: the panels, what each draws against what, and the range of values."""
     panels, signs = panels_of(figure), list(legend_entries(figure))
-    all_labels = (str(artist.get_label()) for axes in panels for artist in labelled(axes))
-    signs += [label.removeprefix(AT_END) for label in all_labels if label.startswith(AT_END)]
+    labels = (str(artist.get_label()) for axes in panels for artist in labelled(axes))
+    signs += [label.removeprefix(AT_END) for label in labels if label.startswith(AT_END)]
     bars = [axes.get_ylabel() or axes.get_xlabel() for axes in figure.axes if axes.get_label() == "<colorbar>"]
-    labels = [axes.get_ylabel() for axes in panels], [axes.get_xlabel() for axes in panels]
-    drawn = [formatting.first_of(list(dict.fromkeys(filter(None, one))), MOST_DESCRIBED, "; ") for one in labels]
+    drawn = (" against ".join(filter(None, [_label(axes, "y"), _label(axes, "x")])) or "a picture" for axes in panels)
     titles = formatting.first_of([title for axes in panels if (title := axes.get_title())], MOST_DESCRIBED, "; ")
     parts = [
-        f"Drawn: {' against '.join(filter(None, drawn)) or 'a picture'}",
+        f"Drawn: {formatting.first_of(list(dict.fromkeys(drawn)), MOST_DESCRIBED, '; ')}",
         ": ".join(filter(None, [f"{len(panels)} panels", titles])) if len(panels) > 1 else "",
         f"Colours: {' and '.join(bars)}" if bars else "",
         f"Legend: {', '.join(signs)}" if len(signs) > 1 else "",
@@ -645,3 +643,10 @@ def _ranges(figure: Figure, dataset: xr.Dataset) -> list[str]:
     """Return a sentence about the values of each quantity that a figure draws."""
     some = answer.answers(dataset, variables=_drawn(figure, dataset)) if "status" in dataset else ()
     return [one.in_short for one in some][:MOST_RANGES]
+
+
+def _label(axes: Axes, which: str) -> str:
+    """Return the label of an axis, or that of the axes that share it and have one."""
+    siblings = getattr(axes, f"get_shared_{which}_axes")().get_siblings(axes)
+    labels = (getattr(one, f"get_{which}label")() for one in (axes, *siblings))
+    return next(filter(None, labels), "")

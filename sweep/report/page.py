@@ -303,12 +303,10 @@ def report_page(datasets: Sequence[tuple[str, xr.Dataset]]) -> str:
         scripts = ["\n".join(Resources(mode="inline", **options).js_raw), *scripts, template_file("explorer.js")]
     comparisons = [comparison for one in sections for comparison in one.get("comparisons", ())]
     versions = list(dict.fromkeys(one["version"] for one in sections))
-    cited, ours = list[str](), False
+    cited = list[str]()
     for _, dataset in datasets:
-        if str(dataset.attrs.get("experiment", "linksweep.")).startswith("linksweep."):
-            cited, ours = [*cited, citations(versions[0])[0]], True
-        else:
-            cited += json.loads(dataset.attrs.get(CITATION, "[]"))
+        is_ours = str(dataset.attrs.get("experiment", "linksweep.")).startswith("linksweep.")
+        cited += citations(versions[0])[:1] if is_ours else json.loads(dataset.attrs.get(CITATION, "[]"))
     return MARK + template("page.html.j2").render(
         sections=sections,
         explored=explored,
@@ -318,7 +316,6 @@ def report_page(datasets: Sequence[tuple[str, xr.Dataset]]) -> str:
         style=template_file("page.css"),
         scripts=scripts,
         cite=list(dict.fromkeys([*cited, *(citations(version)[1] for version in versions)])),
-        cite_message=_citation_file()["message"] if ours else "If you use these results, please cite what made them.",
     )
 
 
@@ -332,8 +329,6 @@ def default_path(stores: Sequence[Where]) -> Path:
 def check_output(path: Path) -> None:
     """Raise SweepError unless a report can be written to a path: a new file or an earlier report in a folder."""
     with reading(path, "cannot be written"):
-        if path.is_dir():
-            raise SweepError("is a directory; give the name of a file with -o", str(path))
         if path.suffix.lower() not in (".html", ".htm"):
             raise SweepError("cannot be a report: its name must end with .html or .htm", str(path))
         if path.exists() and not path.read_bytes().startswith(MARK.encode()):
@@ -347,20 +342,16 @@ def write_report(page: str, path: Path) -> None:
 
 def citations(version: str) -> tuple[str, str]:
     """Return what to cite, in words: the paper, and the software in the version that made the results."""
-    software = _citation_file()
+    # in the wheel the citation file is beside the modules, in a checkout above them
+    folders = Path(str(resources.files("linksweep"))), Path(__file__).resolve().parents[2]
+    path = next(folder / CITATION_FILE for folder in folders if (folder / CITATION_FILE).is_file())
+    software = yaml.safe_load(path.read_text(encoding="utf-8"))
     paper = software["preferred-citation"]
     place = f"{paper['journal']} {paper['volume']}, {paper['start']}"
     return (
         f"{_people(paper['authors'])} ({paper['year']}). {paper['title']}. {place}",
         f"{_people(software['authors'])}. {software['title']}, version {version}. {software['license']}",
     )
-
-
-def _citation_file() -> Any:
-    """Return the contents of the citation file: in the wheel it is beside the modules, in a checkout above them."""
-    installed = Path(str(resources.files("linksweep") / CITATION_FILE))
-    path = installed if installed.is_file() else Path(__file__).resolve().parents[2] / CITATION_FILE
-    return yaml.safe_load(path.read_text(encoding="utf-8"))
 
 
 def _people(authors: Sequence[Mapping[str, str]]) -> str:

@@ -79,13 +79,12 @@ class Reasons:
         for place, message in (failures or {}).items():
             self.add(place, message)
 
-    def add(self, place: str, message: str) -> str:
-        """Count a point that failed; return what its reason has in common with others."""
+    def add(self, place: str, message: str) -> None:
+        """Count a point that failed."""
         kind = in_common(place, message)
         self.points += 1
         self.first.setdefault(kind, (place, message))
         self._numbers[kind] += 1
-        return kind
 
     def most(self) -> list[tuple[int, str, str]]:
         """Return of each reason how many points failed for it, a place and a message, the most frequent first."""
@@ -116,8 +115,6 @@ class FailureCount:
         """Begin with all ``points`` of a study; ``before`` of them have ended in earlier runs, some of them failed."""
         self._study, self.points, self._before, self._most = study, points, before, most
         self._failed_before = failed_before
-        # What the first points that were tried have in common with others, '' for one without a failure so far.
-        self._first: dict[int, str] = {}
         self._begun: set[int] = set()
         self.reasons = Reasons()
         self.ended = 0
@@ -144,48 +141,44 @@ class FailureCount:
         if self._most is not None:
             left = FIRST if self._most.number is None else self._most.number + 1 - self.reasons.points
             return max(1, min(FIRST, left))
-        return FIRST - len(self._first) or None
+        return FIRST - self.ended if self._only_fails and self.ended < FIRST else None
+
+    @property
+    def _only_fails(self) -> bool:
+        """Whether nothing has succeeded in this run."""
+        return self.ended == self.reasons.points and not self._begun
 
     def take(self, ended: Iterable[GridPoint], failed: Mapping[int, Failure], begun: Iterable[int] = ()) -> list[str]:
         """Count points that have ended, and by their indices those that have ``begun`` well; return a sentence for each
         of the first reasons.
         """
         new = []
-        for index in begun:
-            self._begun.add(index)
-            self._note(index, "")
+        self._begun.update(begun)
         for point in ended:
             self.ended += 1
             self._begun.discard(point.index)
-            kind = ""
             if (failure := failed.get(point.index)) is not None:
                 known = len(self.reasons.first)
                 place = describe(self._study, point.parameters)
-                kind = self.reasons.add(place, failure.message)
+                self.reasons.add(place, failure.message)
                 if known < len(self.reasons.first) <= NAMED:
                     new.append(f"failed at {place}: {short(failure.message)}")
-            self._note(point.index, kind)
         return new
-
-    def _note(self, index: int, kind: str) -> None:
-        if index in self._first or len(self._first) < FIRST:
-            self._first[index] = kind
 
     def too_many(self) -> str:
         """Return why the run is to be ended, in words; '' where it goes on, or where nothing is left to do anyway."""
         here, most, tried = self.reasons.points, self._most, self.ended + len(self._begun)
         if self._before + self.ended >= self.points or not here:
             return ""
+        said = f"{here:,} of the {counted(tried, 'point')} that were tried failed, more than {most}"
         if most is None:
-            kinds = set(self._first.values())
-            alike = len(self._first) == FIRST and "" not in kinds and len(kinds) == 1
-            return f"the first {FIRST} points all failed for the same reason: {self.reasons}" if alike else ""
-        if most.percent is None:
+            said = f"the first {FIRST} points all failed for the same reason"
+            exceeded = self._only_fails and here >= FIRST and len(self.reasons.first) == 1
+        elif most.percent is None:
             exceeded = here > (most.number or 0)
         else:
             exceeded = tried >= FIRST and 100.0 * here > most.percent * tried
-        of_tried = f"{here:,} of the {counted(tried, 'point')} that were tried failed, more than {most}"
-        return f"{of_tried}: {self.reasons}" if exceeded else ""
+        return f"{said}: {self.reasons}" if exceeded else ""
 
 
 def failed_points(failures: Mapping[str, str]) -> str:

@@ -243,7 +243,7 @@ COMMANDS = [
     ("plot STORE --log coins --linear coins", "coins cannot have both a logarithmic and a linear axis"),
     ("plot STORE --kind law --at metal=tin --linear coins", "a law is drawn on logarithmic"),
     *(("report STORE --all", "name stores, or give --all"), ("report STORE --workers 2", "go with --all")),
-    *(("report STORE -o study.toml", "must end with .html or .htm"), ("report STORE -o .", "is a directory")),
+    *((f"report STORE -o {path}", "must end with .html or .htm") for path in ("study.toml", ".")),
     ("report gs://b/s.zarr", "gs:// is not known"),
     # typical mistakes, with what solves them
     *(("run quasars --set n_sims=4", "'n_sim'"), ("run quasars --axis n_sim=4,5", "--set n_sim=")),

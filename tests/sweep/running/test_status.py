@@ -282,7 +282,7 @@ def test_the_rule_in_any_order(chance):
         count.take([point], {point.index: Failure("exception", f"wrong at {n}")} if fail else {})
         bad = sum(fails[:n])
         if limit is None:
-            expected = n >= 20 and all(fails[:20])
+            expected = n >= 20 and all(fails[:n])
         elif isinstance(limit, int):
             expected = bad > limit
         else:
