@@ -283,13 +283,11 @@ def draw_panels(
     """
     has_axis = dataset[variables[0]].size > 1 == len(draws)  # that panels share: of one value the x axis is its own
     counts = [*(dataset.sizes[d] for d in dimensions), *(len(some) for some in (variables, draws) if len(some) > 1)]
-    if len(counts) > 2:
-        raise SweepError("several variables leave room for one dimension of panels: fix others by --at AXIS=VALUE")
     every = ((panel, draw) for panel in _panels(dataset, variables, dimensions, far) for draw in draws)
     panels = list(islice(every, MOST_PANELS + 1))
     if len(panels) > MOST_PANELS:
         raise _too_many(dataset, dimensions[::-1], variables)
-    wanted = counts[-1] if len(counts) == 2 else len(panels)
+    wanted = counts[-1] if len(counts) > 1 else len(panels)
     down = -(-len(panels) // min(style.most_columns(wanted), MOST_ACROSS))  # rounded up
     across = -(-len(panels) // down)
     size = (6.4, 4.4) if len(panels) == 1 else (1.2 + 3.1 * across, 1.2 + 2.4 * down)

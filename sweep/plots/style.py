@@ -622,8 +622,7 @@ def _signs(figure: Figure, dataset: xr.Dataset) -> list[str]:
     declared = dict.fromkeys(bars[0] for name in names if (bars := quantity.errors_beside(dataset, name)))
     sentences += [f"Error bars are {name}." for name in declared]
     if PREDICTED in entries:
-        dashes = isinstance(entries[PREDICTED], lines.Line2D)
-        sentences.append(f"{'Dashes are predicted' if dashes else 'The prediction is'} in closed form.")
+        sentences.append("Predictions are in closed form.")
     if PUBLISHED in entries:
         sources = sorted({str(v.attrs["source"]) for v in dataset.data_vars.values() if "source" in v.attrs})
         sentences.append(": ".join(filter(None, ["Open symbols are published", "; ".join(sources)])) + ".")
