@@ -1,11 +1,9 @@
 """Lets Ctrl-C and the signals of batch systems end a run cleanly: never in the middle of a write to the ledger."""
 
-import gc
 import os
 import signal
 import sys
 import threading
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from types import FrameType
@@ -13,7 +11,8 @@ from typing import Any
 
 SIGNALS: list[int] = [signal.SIGINT, signal.SIGTERM, signal.SIGHUP]
 
-# Seconds after which an interrupt that the main thread is not handling must have been dropped.
+# Seconds after which an interrupt that the main thread is not handling must have been dropped: those of the alarm clock
+# from the first signal on.
 LOST_S = 0.2
 
 
@@ -57,8 +56,7 @@ class Interruptions:
 
     def __init__(self) -> None:
         self.received: int | None = None
-        self._holding = self._owed = self._lost = self._watching = False
-        self._deciding = threading.Lock()
+        self._holding = self._owed = False
 
     @contextmanager
     def postponed(self) -> Iterator[None]:
@@ -80,37 +78,32 @@ class Interruptions:
         """Handle signals in this block."""
         with answered(self._answer) as self.before:
             self._unraisable_before, sys.unraisablehook = sys.unraisablehook, self._unraisable
-            self._watching = True
             try:
                 yield
             finally:
-                with self._deciding:
-                    self._watching = False
+                self._holding = True  # no alarm raises anything from here on
+                if self.received is not None:
+                    signal.setitimer(signal.ITIMER_REAL, 0.0)
                 if sys.unraisablehook == self._unraisable:
                     sys.unraisablehook = self._unraisable_before
 
     def _answer(self, number: int, _frame: FrameType | None) -> None:
-        if self.received is not None and not self._lost:
+        if self.received is not None:
             signal.signal(number, self.before.pop(number))
             signal.raise_signal(number)
             return
-        if self.received is None:
-            threading.Thread(target=self._send_again, args=(number,), daemon=True).start()
-        self.received, self._lost, self._owed = number, False, self._holding
+        self.received, self._owed = number, self._holding
+        self.before[signal.SIGALRM] = signal.signal(signal.SIGALRM, self._raise_again) or signal.SIG_DFL
+        signal.setitimer(signal.ITIMER_REAL, LOST_S, LOST_S)
         if not self._holding:
             raise KeyboardInterrupt
 
-    def _send_again(self, number: int) -> None:
-        """Send a signal again and again, but not while the main thread is handling an exception, in an except, a
-        finally or a with, or postpones what it does.
+    def _raise_again(self, _number: int, _frame: FrameType | None) -> None:
+        """Raise an interrupt again, but not while the main thread is handling an exception, in an except, a finally or
+        a with, or postpones what it does.
         """
-        main = threading.main_thread().ident or 0
-        while self._watching:
-            time.sleep(LOST_S)
-            with self._deciding:
-                if self._watching and not (self._holding or self._lost or _is_handling(main)):
-                    self._lost = True
-                    signal.pthread_kill(main, number)
+        if not self._holding and sys.exc_info()[0] is None:
+            raise KeyboardInterrupt
 
     def _unraisable(self, what: Any) -> None:
         """Report nothing when Python drops an interrupt."""
@@ -124,7 +117,7 @@ _forking = threading.local()
 
 
 def _before_fork() -> None:
-    _forking.mask = signal.pthread_sigmask(signal.SIG_BLOCK, SIGNALS)
+    _forking.mask = signal.pthread_sigmask(signal.SIG_BLOCK, [*SIGNALS, signal.SIGALRM])
 
 
 def _after_fork() -> None:
@@ -132,25 +125,13 @@ def _after_fork() -> None:
 
 
 def _in_fork() -> None:
-    for number in SIGNALS:
+    for number in [*SIGNALS, signal.SIGALRM]:
         if isinstance(mine := getattr(signal.getsignal(number), "__self__", None), Interruptions):
             signal.signal(number, mine.before[number])
     _after_fork()
 
 
 os.register_at_fork(before=_before_fork, after_in_parent=_after_fork, after_in_child=_in_fork)
-
-
-def _is_handling(thread: int) -> bool:
-    """Return whether a thread is handling an exception at this moment."""
-    collects = gc.isenabled()
-    gc.disable()  # Python before 3.11.9 may hang if garbage is collected meanwhile (gh-106883)
-    try:
-        raised = sys._current_exceptions().get(thread)
-    finally:
-        if collects:
-            gc.enable()
-    return (raised[0] if isinstance(raised, tuple) else raised) is not None  # a tuple of three in Python 3.11
 
 
 @contextmanager
