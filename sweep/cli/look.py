@@ -117,10 +117,7 @@ def show(
 
 @parsed
 def _millimetres(text: str) -> float:
-    try:
-        width = float(text.strip().removesuffix("mm"))
-    except ValueError:
-        width = 0.0
+    width = float(text.strip().removesuffix("mm"))
     if not 40.0 <= width <= 1000.0:
         raise ValueError(f"{text!r}: must be from 40mm to 1000mm, like 88mm or 180mm")
     return width
@@ -241,7 +238,7 @@ class AskedStores:
         from linksweep.sweep.running.run import plan_study
         from linksweep.sweep.stores.location import RESULTS, located
 
-        places = {}
+        places = []
         for study in paper_studies(published):
             store = located((self.results or RESULTS) / f"{study.name}.zarr")
             # All stores are looked at before the first study runs: an hour later is late for a refusal.
@@ -252,12 +249,12 @@ class AskedStores:
                     raise
                 click.echo(f"left out: {study.name}: {error.problems[0]}", err=True)
             else:
-                places[study.name] = study, store
-        for name, (study, store) in places.items():
+                places.append((study, store))
+        for study, store in places:
             if not self.watching.quiet:
-                click.echo(f"{name}:", err=True)
+                click.echo(f"{study.name}:", err=True)
             run_with_progress(study, store, Running(self.resources, self.watching, None, False, False, None))
-        return [store for _, store in places.values()]
+        return [store for _, store in places]
 
 
 _pages = partial(cli.with_extra, "report", "more packages", "report.page")

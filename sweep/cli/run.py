@@ -339,10 +339,7 @@ def plan(
 
 @parsed
 def _counts(text: str) -> tuple[int, ...]:
-    words = text.split(",")
-    if not all(word.strip().isdecimal() and len(word) < 6 for word in words):
-        raise ValueError(f"{text!r} is no list of numbers of workers; write 1,2,4")
-    return tuple(map(int, words))
+    return tuple(map(int, text.split(",")))
 
 
 @cli.command("Run", "Measure how a study scales with workers")

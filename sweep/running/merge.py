@@ -3,7 +3,6 @@
 import json
 import logging
 import re
-from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -180,12 +179,12 @@ def _require_alike(sources: Sequence[_Source], accept_code: bool) -> None:
     """Raise SweepError that says how stores differ, if they do."""
     first = sources[0]
     for before, source in pairwise(sources):
-        parts = [one.study.part for one in (first, before, source)]
-        if parts[2] is not None and parts[1] == parts[2]:
-            raise SweepError(f"is part {parts[2]}, and so is {before.location}", str(source.location))
+        parts = first.study.part, source.study.part
+        if parts[1] is not None and parts[1] == before.study.part:
+            raise SweepError(f"is part {parts[1]}, and so is {before.location}", str(source.location))
         if len({part and part.total for part in parts}) > 1:
             which = [f"part {part}" if part else "no part of a study" for part in parts]
-            raise SweepError(f"is {which[0]}, and {source.location} is {which[2]}", str(first.location))
+            raise SweepError(f"is {which[0]}, and {source.location} is {which[1]}", str(first.location))
         if problems := _differences(first, source, accept_code):
             raise SweepError([f"cannot be merged with {source.location}: these differ", *problems], str(first.location))
 
@@ -310,8 +309,7 @@ def _take(
         elif key not in store.rows and (key[DIGEST] not in failed or _place(key) < _block_of(failed[key[DIGEST]])):
             keys.append(key)
     records = run.records_of(source.attributes)
-    starts = [record["first_row"] for record in records]
-    for number, group in groupby(keys, key=lambda key: bisect_right(starts, rows[key])):
+    for number, group in groupby(keys, key=lambda key: run.number_of_code(records, rows[key])):
         if number:
             run.begin_code(store, records[number - 1]["code"])
         alike = list(group)

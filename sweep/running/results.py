@@ -2,7 +2,6 @@
 
 import json
 import re
-from bisect import bisect_right
 from collections import defaultdict
 from collections.abc import Callable, Collection, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
@@ -280,18 +279,15 @@ def assemble_samples(plan: Plan, status: NDArray[np.int8], samples: Callable[[by
     return variables
 
 
-def code_variable(
-    plan: Plan, accumulator: Accumulator, rows: Mapping[bytes, int], records: Sequence[Mapping[str, Any]]
-) -> Variable:
-    """Return which code made each point, for a store with several records of code (`sweep.running.run`)."""
+def code_variable(plan: Plan, accumulator: Accumulator, numbers: Mapping[bytes, int]) -> Variable:
+    """Return which code made each point, from the ``numbers`` of what made each block, by its key in the ledger."""
     codes = np.zeros(len(plan.grid), dtype=np.int32)
-    starts = [record["first_row"] for record in records]
     n_cat = plan.grid.study.sampling.n_cat
     for point in plan.grid.points():
         if accumulator.status[point.index] == Status.DONE:
             cost = plan.cost(point.parameters)
             parts = range(plan.parts(cost, int(accumulator.realisations[point.index]) // n_cat))
-            made_by = {bisect_right(starts, rows[ledger_key(point.digest, one)]) for one in plan.blocks(cost, parts)}
+            made_by = {numbers[ledger_key(point.digest, one)] for one in plan.blocks(cost, parts)}
             codes[point.index] = made_by.pop() if len(made_by) == 1 else -1
     meaning = "code that made the point: its place, from 1, in the attribute code; 0 none, -1 several"
     return _variable(plan.grid, codes, Output("code", "", meaning))

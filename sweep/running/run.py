@@ -59,7 +59,7 @@ AGAIN = "is to be computed again where "
 
 
 # Which code made the numbers of a store: its attribute `CODE` is a list of records, each with the ``first_row`` of the
-# ledger that its ``code`` made.
+# ledger that its ``code`` made, in the order of these.
 
 
 def records_of(attributes: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -79,9 +79,13 @@ def differences_of_code(records: Sequence[Mapping[str, Any]], study: Study) -> l
 def made_by_other_code(store: Store, study: Study) -> set[bytes]:
     """Return the digests of the points in a ledger of which other code than a study's has made a row."""
     records = records_of(store.attributes)
-    starts = [record["first_row"] for record in records]
     are_other = [False, *(bool(differences_of_code([record], study)) for record in records)]
-    return {key[:DIGEST_BYTES] for key, row in store.rows.items() if are_other[bisect_right(starts, row)]}
+    return {key[:DIGEST_BYTES] for key, row in store.rows.items() if are_other[number_of_code(records, row)]}
+
+
+def number_of_code(records: Sequence[Mapping[str, Any]], row: int) -> int:
+    """Return which of some records is of a row, from 1; 0 for a row before all of them."""
+    return bisect_right(records, row, key=lambda record: record["first_row"])
 
 
 def defaults_alone(code: Mapping[str, str], other: Mapping[str, str]) -> dict[str, str]:
@@ -508,7 +512,8 @@ class Writer:
         if final and study.sampling.common_random_numbers and study.sampling.precision is None:
             dataset = add_covariances(dataset, self.plan, self.accumulator, self.store)
         if len(records := records_of(self.store.attributes)) > 1:
-            dataset = dataset.assign({"code": code_variable(self.plan, self.accumulator, self.store.rows, records)})
+            numbers = {key: number_of_code(records, row) for key, row in self.store.rows.items()}
+            dataset = dataset.assign({"code": code_variable(self.plan, self.accumulator, numbers)})
         return replace(dataset, attrs=dataset.attrs | self._attributes())
 
     def _attributes(self) -> dict[str, Any]:
@@ -893,10 +898,8 @@ def run_study(
             progress.say(f"{store} has all that this study asks for; it is left as it is, and these are its points")
             return session.part()
         pending = session.survey.pending
-        if beside.retry and not pending.blocks:
-            progress.say(f"no point in {store} has failed")
-        if beside.redo and not pending.blocks:
-            progress.say(f"no point in {store} is there where {beside.redo}")
+        if (beside.retry or beside.redo) and not pending.blocks:
+            progress.say(f"no point in {store} {'has failed' if beside.retry else f'is there where {beside.redo}'}")
         chosen = resources if pending.blocks else ANY_RESOURCES
         place, execute = stack.enter_context(choose_executor(session.study, pending.cost, chosen, progress.say))
         progress.start(session.survey, place.words, place.workers)

@@ -209,7 +209,7 @@ COMMANDS = [
     ("reproduce STORE --at metall=tin,coins=6", "'metall' is not an axis; did you mean 'metal'?"),
     ("reproduce STORE --at tin", "'tin': a place is AXIS=VALUE"),
     *(("scaling sqrt-n --workers 2,4", "must increase from 1"), ("scaling sqrt-n --workers 1,5000", "4096")),
-    ("scaling sqrt-n --workers 1,two", "no list of numbers"),
+    ("scaling sqrt-n --workers 1,two", "'two'"),
     *(("scaling sqrt-n --set n_sim=none", "n_sim"), ("scaling sqrt-n --set precision=0.1", "decides itself")),
     *(("scaling sqrt-n --repetitions 0", "repetitions"), ("scaling sqrt-n -o s.txt", "the name must end")),
     # no option is dropped for another
