@@ -231,9 +231,9 @@ def link_in(store: "Location | str", at: At) -> Any:
 
 
 @contextmanager
-def part_of(store: "Location", at: At, excluded_too: bool = False, running: bool = False) -> Iterator[Any]:
-    """Give the part of a store's dataset that ``--at`` names, with values so far if ``running``; errors in the block
-    name the store unless they say what they are about.
+def part_of(store: "Location", at: At, excluded_too: bool = False, to_show: bool = False) -> Iterator[Any]:
+    """Give the part of a store's dataset that ``--at`` names; ``to_show`` with values so far, or what else than a grid
+    the store holds.  Errors in the block name the store unless they say what they are about.
 
     Raises SweepError where the study has no point in that part, unless ``excluded_too``.
     """
@@ -243,7 +243,10 @@ def part_of(store: "Location", at: At, excluded_too: bool = False, running: bool
     from linksweep.sweep.studies.reader import parse_places
 
     places = parse_places(at)
-    dataset = with_running(OpenStore(store).dataset(running))
+    if to_show and (link := link_in(store, at)) is not None:
+        yield link
+        return
+    dataset = with_running(OpenStore(store).dataset(to_show))
     try:
         part = select(dataset, places)
         for name in set(array_outputs(dataset)) - set(array_outputs(part)):

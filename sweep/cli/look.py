@@ -100,19 +100,17 @@ def show(
     if as_json and table_format != "text":
         raise click.UsageError(f"--json and --format {table_format} are two formats; name one")
     table_format = "json" if as_json else table_format
-    link = cli.link_in(store, at)
     if stars or minus is not None:
         from linksweep.sweep.tie.result import difference, of_difference, of_stars
 
+        link: Any = cli.link_in(store, at)
         other: Any = None if minus is None else cli.link_in(minus, ())
         table = of_stars({} if link is None else link) if minus is None else of_difference(difference(link, other))
         cli.put(getattr(table, table_format)().rstrip("\n"))
-    elif link is not None:
-        cli.print_result(link, table_format)
-    else:
-        # Formats for programs keep excluded points: a column has the status.
-        with part_of(store, at, excluded_too=table_format != "text", running=True) as part:
-            cli.print_result(part, table_format)
+        return
+    # Formats for programs keep excluded points: a column has the status.
+    with part_of(store, at, excluded_too=table_format != "text", to_show=True) as part:
+        cli.print_result(part, table_format)
 
 
 @parsed
@@ -163,11 +161,8 @@ class Drawing:
         if self.kind == "sky":
             objects = sky.catalogue_of_point(store, self.at)
             return sky.sky_figure(objects), objects
-        chosen = self.kind, self.variables, self.over, self.log, self.linear
-        if (link := cli.link_in(store, self.at)) is not None:
-            return figures.draw_figure(link, *chosen), link
-        with part_of(store, self.at, running=True) as dataset:
-            return figures.draw_figure(dataset, *chosen), dataset
+        with part_of(store, self.at, to_show=True) as dataset:
+            return figures.draw_figure(dataset, self.kind, self.variables, self.over, self.log, self.linear), dataset
 
 
 @cli.command("Look", "Draw results")

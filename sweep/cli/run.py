@@ -117,17 +117,13 @@ class Watching:
         if self.quiet and self.verbose:
             raise click.UsageError("--quiet and --verbose contradict each other")
 
-    @property
-    def level(self) -> int:
-        """The level of the logging module."""
-        return logging.ERROR if self.quiet else logging.DEBUG if self.verbose else logging.INFO
-
 
 @contextmanager
 def _logged(watching: Watching) -> Iterator[None]:
     """Send what a run says, and what Dask logs, to standard error and the log file in this block."""
     from linksweep.sweep.running.progress import RECORD, SENTENCES, Lines
 
+    level = logging.ERROR if watching.quiet else logging.DEBUG if watching.verbose else logging.INFO
     with ExitStack() as stack:
 
         def handle(handler: logging.Handler, *loggers: logging.Logger) -> None:
@@ -135,13 +131,13 @@ def _logged(watching: Watching) -> Iterator[None]:
                 logger.addHandler(handler)
                 stack.callback(logger.removeHandler, handler)
 
-        handle(Lines(watching.level), SENTENCES)
-        SENTENCES.setLevel(logging.DEBUG if watching.log is not None else watching.level)
+        handle(Lines(level), SENTENCES)
+        SENTENCES.setLevel(logging.DEBUG if watching.log is not None else level)
         for logger in (SENTENCES, RECORD):
             # Handlers of the user's code would say it again.
             stack.callback(setattr, logger, "propagate", logger.propagate)
             logger.propagate = False
-        if watching.level == logging.DEBUG:
+        if watching.verbose:
             handle(Lines(logging.WARNING, "Dask: %(message)s"), *DASK)
         if watching.log is not None:
             file = Lines(logging.NOTSET, "%(asctime)s %(levelname)s %(message)s", watching.log)
