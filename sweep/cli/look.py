@@ -15,7 +15,7 @@ import click
 import linksweep
 from linksweep.sweep import cli, studies as known
 from linksweep.sweep.cli import AT, JSON, STORE, At, arg, choice, flag, many, opt, parsed, part_of
-from linksweep.sweep.cli.run import Running, Watching, resources, run_with_progress
+from linksweep.sweep.cli.run import Running, Target, Watching, resources, run_with_progress
 from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.formatting import counted, harmless, to_json
 from linksweep.sweep.interrupt import RunInterruptedError, watched
@@ -343,8 +343,7 @@ def sensitivity(
     store: "Location" = STORE,
     variable: str | None = opt("What varies.  [default: the main result]"),
     at: At = AT,
-    output: Path | None = cli.output("Write .zarr, or draw .png, .svg, .pdf."),
-    as_json: bool = JSON,
+    target: Target = cli.group(Target),
 ) -> None:
     """Estimate how much of the variance of a result in STORE is due to each parameter, with errors.
 
@@ -355,13 +354,9 @@ def sensitivity(
     sweep sensitivity results/sir.zarr
     sweep sensitivity results/sir.zarr --variable peak -o peak.png
     """
-    if output is not None:
-        cli.require_writable(output)
     with part_of(store, at) as dataset:
         result = linksweep.sensitivity(dataset, variable)
-    cli.print_result(result, "json" if as_json else "text")
-    if output is not None:
-        cli.save_result(result, output)
+    target.put(result)
 
 
 @cli.command("Compare", "Compare with published numbers and claims")

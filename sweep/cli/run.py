@@ -333,6 +333,40 @@ def plan(
         cli.print_wrapped(text, f"{key:14}", 14 * " ")
 
 
+@dataclass(frozen=True)
+class Target:
+    """Where a result goes: to the terminal, as JSON or text, into a store, and into figures."""
+
+    output: Path | None = cli.output("Write .zarr, or draw .png, .svg, .pdf.")
+    figures: Path | None = opt(
+        "Draw every figure that `sweep plot STORE.zarr --kind KIND` has, as KIND.png.",
+        type=click.Path(path_type=Path, file_okay=False),
+        metavar="FOLDER",
+    )
+    as_json: bool = JSON
+
+    def __post_init__(self) -> None:
+        """Raise an error unless a store can be written and figures be drawn, before anything is computed."""
+        if self.output is not None:
+            cli.require_writable(self.output)
+        if self.figures is not None:
+            cli.drawing_styles()
+
+    def put(self, result: "xr.Dataset") -> None:
+        """Print a result, write it and draw its figures."""
+        if self.output is not None:
+            cli.save_result(result, self.output)
+        if self.figures is not None:
+            from linksweep.sweep.plots import figure as drawing, style
+            from linksweep.sweep.result import Result
+
+            with style.settings():
+                for kind, figure in drawing.all_figures(Result(result)).items():
+                    style.save(figure, self.figures / f"{kind}.png")
+                    cli.wrote(self.figures / f"{kind}.png")
+        cli.print_result(result, "json" if self.as_json else "text")
+
+
 @parsed
 def _counts(text: str) -> tuple[int, ...]:
     return tuple(map(int, text.split(",")))
@@ -362,12 +396,11 @@ def scaling(
     from linksweep.sweep.stores.location import default_store
 
     loaded = cli.load_trusted(study, trust, settings=settings, axes=axes)
-    path = output or default_store(f"{loaded.name}-scaling")
-    cli.require_writable(path)  # before minutes of measuring
+    # Before minutes of measuring: it may be no place to write to.
+    target = Target(output or default_store(f"{loaded.name}-scaling"), None, as_json)
     with cli.a_signal_ends_the_command():
         dataset = measure_scaling(loaded, workers, pool, repetitions, lambda text: click.echo(text, err=True))
-    cli.print_result(dataset, "json" if as_json else "text")
-    cli.save_result(dataset, path)
+    target.put(dataset)
 
 
 @cli.command("Store care", "Say how far a run is, and what failed")
@@ -699,40 +732,6 @@ def _declared(entry: str, *groups: type[Declared]) -> Any:
         words = f"{meaning[:1].upper()}{meaning[1:]}."
         made[one.name] = opt(words, names, multiple=several, metavar=metavar or None, **more)
     return passed(**made)
-
-
-@dataclass(frozen=True)
-class Target:
-    """Where a link or a forecast goes: to the terminal, as JSON or text, into a store, and into figures."""
-
-    output: Path | None = cli.output("Write .zarr, or draw .png, .svg, .pdf.")
-    figures: Path | None = opt(
-        "Draw every figure that `sweep plot STORE.zarr --kind KIND` has, as KIND.png.",
-        type=click.Path(path_type=Path, file_okay=False),
-        metavar="FOLDER",
-    )
-    as_json: bool = JSON
-
-    def __post_init__(self) -> None:
-        """Raise an error unless a store can be written and figures be drawn, before anything is computed."""
-        if self.output is not None:
-            cli.require_writable(self.output)
-        if self.figures is not None:
-            cli.drawing_styles()
-
-    def put(self, result: "xr.Dataset") -> None:
-        """Print a result, write it and draw its figures."""
-        if self.output is not None:
-            cli.save_result(result, self.output)
-        if self.figures is not None:
-            from linksweep.sweep.plots import figure as drawing, style
-            from linksweep.sweep.result import Result
-
-            with style.settings():
-                for kind, figure in drawing.all_figures(Result(result)).items():
-                    style.save(figure, self.figures / f"{kind}.png")
-                    cli.wrote(self.figures / f"{kind}.png")
-        cli.print_result(result, "json" if self.as_json else "text")
 
 
 @cli.command("Your own", "Solve for the link of two real tables")
