@@ -107,7 +107,8 @@ def run(
         max_failures: end the run when more points than this number, or than this percentage, "5%", of those that were
             tried fail; by default if the first 20 all fail for the same reason, with "100%" never.
         progress: an object that is notified of the progress; by default a bar in terminals and notebooks.
-        part: "K/N" computes part K of N alone, into the store STORE.part-K-of-N; `sweep merge` makes one of all parts.
+        part: "K/N" computes part K of N alone, into the store STORE.part-K-of-N, and "array" the part of this task of a
+            SLURM job array; `sweep merge` makes one of all parts.
         verify: compute so many points again at the end, each by itself in new processes, in two orders, and compare
             every bit; the results are in the store all the same.
 
