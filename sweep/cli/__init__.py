@@ -80,14 +80,14 @@ def output(help: str, **more: Any) -> Any:  # noqa: A002
 
 
 def parsed(parse: Callable[[str], Any]) -> Any:
-    """Return a callback of an option that parses its value; its ValueError or OverflowError is a usage error."""
+    """Return a callback of an option that parses its value, or opens what it names; errors of that are usage errors."""
 
     def callback(context: click.Context, _parameter: click.Parameter, value: str | None) -> Any:
         if value is None or context.resilient_parsing:
             return None
         try:
             return parse(value)
-        except (ValueError, OverflowError) as error:
+        except (ValueError, OverflowError, OSError) as error:
             raise click.BadParameter(str(error)) from error
 
     return callback

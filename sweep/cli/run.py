@@ -81,27 +81,27 @@ def resources(
     return Resources(workers, pool, scheduler, tls, cluster, linksweep.Limits(time_limit, memory_limit), dashboard)
 
 
-# How a file begins to which an option appends.
-BEGINS = {"log": rb"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} [A-Z]+ |$)", "events": rb'(\{"event": |$)'}
+def _appended(name: str, begin: bytes) -> Any:
+    """Return the callback of an option that opens a file to append to; one that is there has to ``begin`` as its own."""
 
-
-def _log_file(context: click.Context, parameter: click.Parameter, value: str | None) -> TextIO | None:
-    if value is None or context.resilient_parsing:
-        return None
-    try:
-        if value == "-":
+    @parsed
+    def opened(text: str) -> TextIO:
+        if text == "-":
             raise ValueError("standard output has the results; name a file")
-        if store := cli.store_around(path := Path(value)):
-            raise ValueError(f"it lies inside the store {store}")
+        if store := cli.store_around(path := Path(text)):
+            raise ValueError(f"{text!r} lies inside the store {store}")
         with path.open("rb") if path.is_file() else io.BytesIO() as there:
-            if re.match(BEGINS[str(parameter.name)], there.read(40)) is None:
-                raise ValueError(f"it exists, and is no file of --{parameter.name}")
+            if re.match(begin, there.read(40)) is None:
+                raise ValueError(f"{text!r} exists, and is no file of --{name}")
         # Nothing stays in a buffer: on a full disk it could not be written at the end, either.
         file = io.TextIOWrapper(path.open("ab", 0), "utf-8", "backslashreplace", write_through=True)
-        return context.with_resource(file)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise click.BadParameter(f"{value!r} cannot be written: {reason}") from error
+        return click.get_current_context().with_resource(file)
+
+    return opened
+
+
+LOG = _appended("log", rb"(\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} [A-Z]+ |$)")
+EVENTS = _appended("events", rb'(\{"event": |$)')
 
 
 @dataclass(frozen=True)
@@ -110,8 +110,8 @@ class Watching:
 
     quiet: bool = flag("Print no progress.", "--quiet", "-q")
     verbose: bool = flag("Print a line for each point, and Dask's warnings.", "--verbose", "-v")
-    log: TextIO | None = opt("Append everything to FILE, with times.", metavar="FILE", callback=_log_file)
-    events: TextIO | None = opt("Append events to FILE, for programs: JSON lines.", metavar="FILE", callback=_log_file)
+    log: TextIO | None = opt("Append everything to FILE, with times.", metavar="FILE", callback=LOG)
+    events: TextIO | None = opt("Append events to FILE, for programs: JSON lines.", metavar="FILE", callback=EVENTS)
 
     def __post_init__(self) -> None:
         if self.quiet and self.verbose:
