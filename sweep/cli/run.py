@@ -82,7 +82,7 @@ def resources(
 
 
 def _appended(name: str, begin: bytes) -> Any:
-    """Return the callback of an option that opens a file to append to; one that is there has to ``begin`` as its own."""
+    """Return the callback of an option that opens a file to append to; what is there has to ``begin`` as its own."""
 
     @parsed
     def opened(text: str) -> TextIO:
