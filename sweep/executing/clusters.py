@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 from multiprocessing import resource_tracker
 from pathlib import Path
 from queue import Empty, SimpleQueue
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal, get_args
 
 import dask
 from distributed import Client, Future, KilledWorker, LocalCluster, Security, SpecCluster, WorkerPlugin, get_worker, rpc
@@ -32,7 +32,7 @@ from linksweep.sweep.code import provide, sendable, source_digest
 from linksweep.sweep.contract import SweepError, refused, shown, suggest
 from linksweep.sweep.executing.executor import KEEP_BYTES, ONE_THREAD, Children
 from linksweep.sweep.executing.pools import Limits, Place, Resources, available_cores
-from linksweep.sweep.executing.task import AnyJob, Call, Executor, Failure, Identity, Task, other_versions
+from linksweep.sweep.executing.task import AnyJob, Executor, Failure, Identity, Task, TaskResult, other_versions
 from linksweep.sweep.executing.worker import Deadlines, compute, leave_signals_to_parent, set_environment
 from linksweep.sweep.planning.accumulator import TASK_S, TASKS_IN_FLIGHT, task_seconds
 
@@ -100,16 +100,10 @@ def dask_workers(reference: str, resources: Resources, say: Callable[[str], None
         driver = DaskDriver(client, words, reference, resources.limits, say)
         stack.callback(driver.cancel)
         driver.prepare()
-        yield Place(f"on {words}", dashboard=_link(client)), driver
-
-
-def _link(client: Client) -> str:
-    """Return the address of a client's dashboard, empty if there is none: the scheduler needs bokeh for it."""
-    try:
-        client.run_on_scheduler(importlib.import_module, "bokeh")
-    except Exception:  # also a scheduler that runs nothing for clients
-        return ""
-    return str(client.dashboard_link or "")
+        link = ""
+        with suppress(KeyError):  # of a scheduler that has none
+            link = client.dashboard_link
+        yield Place(f"on {words}", dashboard=link), driver
 
 
 @contextmanager
@@ -308,7 +302,7 @@ def without_logs() -> Iterator[None]:
 
 
 # The arguments of the `adapt` of a cluster, which takes any other without a word and then does nothing.
-ADAPT = ("minimum", "maximum", "minimum_jobs", "maximum_jobs", "interval", "wait_count", "target_duration")
+Adapt = Literal["minimum", "maximum", "minimum_jobs", "maximum_jobs", "interval", "wait_count", "target_duration"]
 
 Count = Annotated[int, Field(strict=True, ge=1)]
 
@@ -328,19 +322,16 @@ class ClusterFile(BaseModel, extra="forbid"):
     )
     options: Annotated[dict[str, Any], AfterValidator(_usable)] = {}
     scale: Annotated[dict[str, Count], BeforeValidator(lambda n: n if isinstance(n, dict) else {"n": n})] | None = None
-    adapt: dict[str, Any] | None = Field(None, validate_default=True)
+    adapt: dict[Adapt, Any] | None = Field(None, validate_default=True)
 
     @field_validator("adapt")
     @classmethod
-    def _has_one_size(cls, written: dict[str, Any] | None, others: ValidationInfo) -> dict[str, Any] | None:
-        if "scale" in others.data and bool(others.data["scale"]) == (written is not None):
+    def _has_one_size(cls, adapt: dict[str, Any] | None, others: ValidationInfo) -> dict[str, Any] | None:
+        if "scale" in others.data and bool(others.data["scale"]) == (adapt is not None):
             raise ValueError("write either scale = WORKERS or adapt = { minimum = WORKERS, maximum = WORKERS }")
-        adapt = {"maximum": 1} if written is None else written
-        if unknown := adapt.keys() - set(ADAPT):
-            raise ValueError(f"unknown key adapt.{min(unknown)}{suggest(min(unknown), ADAPT)}")
-        if not adapt.keys() & {"maximum", "maximum_jobs"}:
+        if adapt is not None and not adapt.keys() & {"maximum", "maximum_jobs"}:
             raise ValueError("adapt: must say a maximum; without one the cluster would grow with the work")
-        return written
+        return adapt
 
 
 def read_cluster_file(path: Path) -> ClusterFile:
@@ -361,8 +352,9 @@ def read_cluster_file(path: Path) -> ClusterFile:
 def _problem(item: Any) -> str:
     """Return what pydantic finds wrong in a file, in our words."""
     key = ".".join(map(str, item["loc"])).removesuffix(".n")  # which is no key where the scale is a number
-    if item["type"] == "extra_forbidden":
-        return f"unknown key {key}{suggest(key, ['class', 'options', 'scale', 'adapt'])}"
+    if item["type"] in ("extra_forbidden", "literal_error"):
+        key, known = key.removesuffix(".[key]"), ["class", "options", "scale", "adapt"]
+        return f"unknown key {key}{suggest(key, [*known, *(f'adapt.{name}' for name in get_args(Adapt))])}"
     if item["type"] == "value_error":
         return str(item["ctx"]["error"])
     hint = ", the import path of a cluster's class such as 'dask_jobqueue.SLURMCluster'" if key == "class" else ""
@@ -458,25 +450,22 @@ class Reply:
     result: Any = None
 
 
-def run_on_worker(task: Task | Call, expected: Identity, guarded: bool, memory_limit: int | None) -> Reply:
+def run_on_worker(task: Task, expected: Identity, guarded: bool, memory_limit: int | None) -> Reply:
     """Run a task on the worker that this is called on, if it computes the same numbers as the client.
 
     With ``guarded`` blocks run in a child process of at most ``memory_limit`` bytes (None: no limit).
     """
     worker = get_worker()
-    reference, digest = task.experiment_reference, task.source_digest
-    here = Identity.here(reference, digest)
-    another = here if expected.differences(here) else None
-    answer = Reply(worker.address, another, other_versions(expected.others, here.others))
-    if another is not None:
-        return answer
-    if guarded and isinstance(task, Task):
-        limits = Limits(task.time_limit_s, memory_limit)
-        with Children(reference, 1, limits, forked=False, digest=digest, expected=expected) as child:
-            return replace(answer, result=child.run(task))
-    plugin = worker.plugins[PLUGIN]
-    assert isinstance(plugin, TaskPlugin)
-    return replace(answer, result=compute(task, plugin.deadlines))
+    here = Identity.here(task.experiment_reference, task.source_digest)
+    another, result = here if expected.differences(here) else None, None
+    if another is None and guarded:
+        with Children(1, Limits(task.time_limit_s, memory_limit), forked=False, expected=expected) as child:
+            result = child.run(task)
+    elif another is None:
+        plugin = worker.plugins[PLUGIN]
+        assert isinstance(plugin, TaskPlugin)
+        result = compute(task, plugin.deadlines)
+    return Reply(worker.address, another, other_versions(expected.others, here.others), result)
 
 
 @dataclass
@@ -668,7 +657,8 @@ class DaskDriver:
             words = f"the workers of {self._where} die whatever they do; no point is blamed for it, {KEPT}"
             raise SweepError(words) from error
         else:
-            yield one.job, one.job.failed(Failure("killed", f"its worker died {MAX_LOSSES} times: {error}"))
+            reason = Failure("killed", f"its worker died {MAX_LOSSES} times: {error}")
+            yield one.job, TaskResult.failed(len(one.job), reason)
 
     def _after_trouble(self, one: _Submission, error: Exception) -> _Submission:
         """Return what is to be tried after an error that is not the experiment's; raises SweepError after too many."""

@@ -27,17 +27,13 @@ from typing import IO, Any
 
 from threadpoolctl import threadpool_limits
 
-from linksweep.sweep.code import new_process, provide, sendable, source_digest
+from linksweep.sweep.code import new_process, provide, sendable
 from linksweep.sweep.contract import SweepError, refused
 from linksweep.sweep.executing import worker
 from linksweep.sweep.executing.pools import NO_LIMITS, Limits, Place, Resources, available_cores
-from linksweep.sweep.executing.task import AnyJob, Call, Executor, Failure, Identity, PointBlock, Task, TaskResult
+from linksweep.sweep.executing.task import AnyJob, Call, Executor, Failure, Identity, Task, TaskResult
 from linksweep.sweep.interrupt import SIGNALS
 from linksweep.sweep.studies.study import Study
-
-# Seconds of a first call above which the second, which shows whether it returns the same, is made by a further child:
-# it would delay what one of few has to do.
-BESIDE_S = 0.2
 
 # How often a block may end its child, when it is known which block it was.
 TRIES = 2
@@ -84,44 +80,28 @@ class Children:
     """
 
     def __init__(
-        self,
-        reference: str,
-        number: int = 1,
-        limits: Limits = NO_LIMITS,
-        *,
-        forked: bool = True,
-        digest: str | None = None,
-        expected: Identity | None = None,
+        self, number: int = 1, limits: Limits = NO_LIMITS, *, forked: bool = True, expected: Identity | None = None
     ) -> None:
         soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
         if 0 <= soft < (most := FILES + FILES_EACH * number):  # of 256 cores, say
             with suppress(ValueError, OSError):  # then it is said where one does not start
                 resource.setrlimit(resource.RLIMIT_NOFILE, (min(most, hard) if hard >= 0 else most, hard))
-        self._limits, code = limits, (reference, digest or source_digest(reference))
-        self._new = partial(_Child, forked and _may_be_forked(), limits.memory, code, expected)
-        self._children = [self._new() for _ in range(number)]
-        self._second: _Child | None = None  # makes a first call again, beside the others
+        self._limits, forked = limits, forked and _may_be_forked()
+        self._children = [_Child(forked, limits.memory, expected) for _ in range(number)]
 
     def __enter__(self) -> "Children":
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_error: object) -> None:
         end = time.monotonic() + (END_S if kind is None else 0.0)
-        children = [*self._children, *filter(None, [self._second])]
-        for child in children if kind is None else ():
+        for child in self._children if kind is None else ():
             child.send(None)  # one that waits for a task cleans up and ends
-        for child in children:
+        for child in self._children:
             child.end(end - time.monotonic())
 
     def __call__(self, take: Callable[[int], Sequence[AnyJob]]) -> Iterator[tuple[AnyJob, Any]]:
         """Compute everything that ``take`` gives."""
-
-        def tasks(count: int) -> Iterator[tuple[AnyJob, Task | Call]]:
-            for job in take(count):
-                task: Task | Call = job.task(self._limits)
-                yield job, replace(task, at_once_s=BESIDE_S) if isinstance(task, Task) else task
-
-        return self._results(tasks)
+        return self._results(lambda count: [(job, job.task(self._limits)) for job in take(count)])
 
     def run(self, task: Task) -> TaskResult:
         """Compute one task."""
@@ -130,13 +110,13 @@ class Children:
         [(_, result)] = self._results(lambda _: [tasks.pop()] if tasks else [])
         return result
 
-    def _results(self, take: Callable[[int], Iterable[tuple[Any, Task | Call]]]) -> Iterator[tuple[Any, Any]]:
+    def _results(self, take: Callable[[int], Iterable[tuple[Any, Task]]]) -> Iterator[tuple[Any, Any]]:
         busy: dict[_Child, Any] = {}  # with their jobs
 
         def begin(child: _Child) -> None:
             for job, task in () if child in busy else take(1):
                 for one in self._children:  # as late as there is work, and together: new processes import for a while
-                    one.start()
+                    one.start(task)
                 busy[child] = job
                 child.begin(task)
 
@@ -145,17 +125,9 @@ class Children:
                 while busy:
                     for child in self._that_answer(busy):
                         trial = child.take()
-                        if trial.again is not None and self._second is None:  # once in a run is enough
-                            self._second = self._new()
-                            busy[self._second] = busy[child]
-                            self._second.begin(trial.again)
                         if not trial.ended:
                             continue
                         job, result = busy.pop(child), trial.result()
-                        if child is self._second:
-                            if result.refused:
-                                yield job, result
-                            continue
                         if len(self._children) > 1:  # of several none waits while a result is used; one may be the last
                             begin(child)
                         yield job, result
@@ -184,63 +156,50 @@ class _Trial:
     """A task on its way through children: the ``units`` that have no result yet, and the ``results`` of those before.
 
     ``careful`` is a task of which a child has died, so that each result is to be sent at once: else nobody knows how
-    far it came.  ``inside`` counts the points that are left of a unit which was taken apart.  ``again`` is the task of
-    making its first call once more.
+    far it came.  ``inside`` counts the points that are left of a unit which was taken apart.
     """
 
-    def __init__(self, task: Task | Call) -> None:
+    def __init__(self, task: Task) -> None:
         self.task = task
-        self.units: deque[Any] = deque(task.units if isinstance(task, Task) else [task])
-        self.results: list[Any] = []
+        self.units, self.results = deque(task.units), list[TaskResult]()
         self.careful, self.ended = task.time_limit_s is not None, False
-        self.again: Task | None = None
         self.inside = self._deaths = 0
 
-    def rest(self) -> Task | Call:
+    def rest(self) -> Task:
         """Return what a child is to compute next."""
-        return replace(self.task, units=tuple(self.units)) if isinstance(self.task, Task) else self.task
+        return replace(self.task, units=tuple(self.units))
 
-    def take(self, results: list[Any]) -> None:
+    def take(self, results: list[TaskResult]) -> None:
         """Add results of the first units; one of several units has the rows of all of them."""
         self._deaths = 0
         for result in results:
             self.results.append(result)
-            if not isinstance(self.task, Task):
-                self.units.clear()
-                continue
-            units, rows = list[PointBlock](), len(result.seconds)
+            rows = len(result.seconds)
             self.inside = max(0, self.inside - rows)
             while rows > 0:
-                units.append(self.units.popleft())
-                rows -= len(units[-1].points)
-            if result.again:
-                done = tuple(units[row] for row in result.outcomes)
-                self.again = replace(self.task, units=done, first=tuple(result.outcomes.values()))
+                rows -= len(self.units.popleft().points)
 
     def after_death(self, death: Failure) -> None:
-        """Find out which point has ended a child, and give that up after so many `TRIES`; raises SweepError for a call,
-        without which nothing goes on.
+        """Find out which point has ended a child, and give that up after so many `TRIES`.
 
         Then the task ends: its other blocks are given out again, but for those of this point, which would cost as much.
         """
         unit = self.units[0]
         if not self.careful:
             self.careful = True
-        elif isinstance(unit, PointBlock) and len(unit.points) > 1:  # one of those that share the draw is to blame
+        elif len(unit.points) > 1:  # one of those that share the draw is to blame
             self.units.popleft()
             self.units.extendleft(replace(unit, points=(point,)) for point in reversed(unit.points))
             self.inside = len(unit.points)
         else:
             self._deaths += 1
             if death.kind == "time limit" or self._deaths >= TRIES:
-                if isinstance(unit, Call):
-                    unit.failed(death)
                 self.take([TaskResult.failed(1, death)])
                 self.ended = not self.inside
 
-    def result(self) -> Any:
+    def result(self) -> TaskResult:
         """Return the result of the task: the last units have none where it took too long."""
-        return TaskResult.joined(self.results) if isinstance(self.task, Task) else self.results[0]
+        return TaskResult.joined(self.results)
 
 
 def _may_be_forked() -> bool:
@@ -256,15 +215,13 @@ class _Child:
     one takes its place where it has ended.
     """
 
-    def __init__(
-        self, forked: bool, memory_limit: int | None, code: tuple[str, str | None], expected: Identity | None
-    ) -> None:
-        self._forked, self._memory_limit, self._code, self._expected = forked, memory_limit, code, expected
+    def __init__(self, forked: bool, memory_limit: int | None, expected: Identity | None) -> None:
+        self._forked, self._memory_limit, self._expected = forked, memory_limit, expected
         self._process: Any = None
         self._is_open = self._is_ready = False
 
-    def start(self) -> None:
-        """Start a process unless there is one; raises SweepError where it does not start."""
+    def start(self, task: Task) -> None:
+        """Start a process for tasks like this one unless there is one; raises SweepError where it does not start."""
         if self._is_open:
             return
         with refused(OSError, said="a child process could not start: "):
@@ -292,17 +249,18 @@ class _Child:
                 files: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": self._words, "stderr": self._words}
                 self._process = new_process(start, **files, pass_fds=[theirs.fileno()])
             theirs.close()
+        self._code = task.experiment_reference, task.source_digest
         if not self._forked:  # now: where it has ended already, nobody else has the other end
             self.send((sendable(*self._code), *self._code))
 
-    def begin(self, task: Task | Call) -> None:
+    def begin(self, task: Task) -> None:
         """Give the process a task."""
         self._trial = _Trial(task)
         self._go_on()
 
     def _go_on(self) -> None:
         """Send what is left of the task, to another process where this one has ended."""
-        self.start()
+        self.start(self._trial.task)
         if self._is_ready:  # else when it is
             self.send((self._trial.rest(), self._trial.careful))
 
@@ -450,11 +408,8 @@ def _serve(channel: Connection, words: IO[bytes]) -> None:
             channel.send(None)
 
 
-def _results(deadlines: worker.Deadlines, task: Task | Call, careful: bool) -> Iterator[list[Any]]:
+def _results(deadlines: worker.Deadlines, task: Task, careful: bool) -> Iterator[list[Any]]:
     """Yield the results of a task: several at once, or if ``careful`` each unit as soon as it is done."""
-    if isinstance(task, Call):
-        yield [worker.compute(task, deadlines)]
-        return
     ready, sent = list[TaskResult](), time.monotonic()
     for result in worker.run_units(task, deadlines, apart=careful):
         ready.append(result)
@@ -493,13 +448,13 @@ def choose_executor(study: Study, cost: float, resources: Resources, say: Callab
 
 
 @contextmanager
-def processes(reference: str, workers: int, limits: Limits = NO_LIMITS) -> Iterator[tuple[Place, Executor]]:
+def processes(_reference: str, workers: int, limits: Limits = NO_LIMITS) -> Iterator[tuple[Place, Executor]]:
     """Give an executor on worker processes of one thread each, with an equal share of the memory by default."""
     import psutil
 
     limits = Limits(limits.time_s, limits.memory or psutil.virtual_memory().total // workers)
     words = f"on {workers} local worker {'process' if workers == 1 else 'processes'}"
-    with threadpool_limits(1), Children(reference, workers, limits) as children:
+    with threadpool_limits(1), Children(workers, limits) as children:
         yield Place(words, workers), children
 
 
@@ -508,7 +463,7 @@ def threads(_reference: str, workers: int) -> Iterator[tuple[Place, Executor]]:
     """Give an executor on threads of this process."""
     from multiprocessing.pool import ThreadPool  # others would keep Python from ending while they compute
 
-    def compute(job: AnyJob, task: Task | Call) -> tuple[AnyJob, Any]:
+    def compute(job: AnyJob, task: Task) -> tuple[AnyJob, Any]:
         try:
             return job, worker.compute(task)
         except BaseException as error:  # raised again in the thread of the run
@@ -599,12 +554,15 @@ def mapped(reference: str, resources: Resources, say: Callable[[str], None]) -> 
 
             def take(most: int) -> list[Call]:
                 room = most if len(early) < MOST_WAITING else 0
-                return [Call(reference, next(numbers), function, piece) for piece in islice(arguments, room)]
+                some = islice(arguments, room)
+                return [Call(reference, next(numbers), partial(function, *piece)) for piece in some]
 
-            for call, (value, error) in execute(take):
+            for call, result in execute(take):
+                for failure in result.failures.values():
+                    raise SweepError(f"a part of the work could not be computed: {failure.message}")
+                early[call.number], error = result.outcomes[0].row
                 if error is not None:
                     raise error
-                early[call.number] = value
                 while turn in early:
                     yield early.pop(turn)
                     turn += 1

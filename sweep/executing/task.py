@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_info
 
 from linksweep.sweep.code import as_recorded_where_unsteady, code_of, load_experiment, source_digest, version_of
-from linksweep.sweep.contract import Block, NotFiniteError, Outcome, ResultError, SweepError
+from linksweep.sweep.contract import Block, NotFiniteError, Outcome, ResultError
 from linksweep.sweep.executing.pools import NO_LIMITS, Limits
 from linksweep.sweep.planning.plan import Work
 from linksweep.sweep.studies.study import Study
@@ -98,10 +98,10 @@ class Task:
     ``enough_s`` seconds, if that is more than `sweep.executing.worker.ENOUGH_S`, a worker returns what it has.
     ``time_limit_s`` is for a block of one point; with it the process must be one that may be ended.  A
     ``repeatable`` experiment is to return the same results whenever it is called: it is called again at its first
-    point, by the same process only where that took at most ``at_once_s`` seconds, else by one that gets the ``first``
-    results.  With ``caught`` false what it raises is raised, and what it prints is printed.  ``keep`` takes all
-    outcomes, to write what is large, before they are sent.  ``errors`` of NumPy and ``decimals`` are treated as in the
-    thread of the run, since each thread has its own setting.
+    point.  With ``caught`` false what it raises is raised, and what it prints is printed.  ``keep`` takes all
+    outcomes, to write what is large, before they are sent.  With a ``function`` there is one unit without parameters,
+    and its row is what that returns and None, or None and what it raises.  ``errors`` of NumPy and ``decimals`` are
+    treated as in the thread of the run, since each thread has its own setting.
     """
 
     experiment_reference: str
@@ -112,10 +112,9 @@ class Task:
     source_digest: str | None = None
     enough_s: float = 0.0
     repeatable: bool = False
-    at_once_s: float = float("inf")
-    first: tuple[Outcome, ...] = ()
     caught: bool = True
     keep: Keep = dict
+    function: Callable[[], Any] | None = None
     errors: Mapping[str, Any] = field(default_factory=np.geterr)
     decimals: decimal.Context = field(default_factory=decimal.getcontext)
 
@@ -185,8 +184,7 @@ class TaskResult:
 
     By the number of a row, ``outcomes`` has what its block left, ``failures`` the reason why it could not be computed,
     and ``said`` what was printed in the unit whose first row it is.  ``cold`` says that the first row was the first
-    call in its process, which may include imports; ``refused`` why no result of this experiment is to be used, or '';
-    ``again`` that another process is to make the second call at its points.
+    call in its process, which may include imports; ``refused`` why no result of this experiment is to be used, or ''.
     """
 
     seconds: NDArray[np.float64]
@@ -195,18 +193,16 @@ class TaskResult:
     said: dict[int, Captured] = field(default_factory=dict)
     cold: bool = False
     refused: str = ""
-    again: bool = False
 
     @classmethod
-    def failed(cls, rows: int, reason: Failure | None = None) -> "TaskResult":
-        """Return a result of so many rows without outcomes, all failed for the ``reason`` if there is one."""
-        failures = {} if reason is None else dict.fromkeys(range(rows), reason)
-        return cls(np.zeros(rows), failures=failures)
+    def failed(cls, rows: int, reason: Failure) -> "TaskResult":
+        """Return a result of so many rows, all failed for the ``reason``."""
+        return cls(np.zeros(rows), failures=dict.fromkeys(range(rows), reason))
 
     @classmethod
     def joined(cls, results: "Sequence[TaskResult]") -> "TaskResult":
         """Return the result of a task from those of its parts, in their order."""
-        whole, starts = cls.failed(0), np.cumsum([0, *(len(one.seconds) for one in results)])
+        whole, starts = cls(np.zeros(0)), np.cumsum([0, *(len(one.seconds) for one in results)])
         for first, result in zip(starts.tolist(), results, strict=False):
             for name in ("outcomes", "failures", "said"):
                 getattr(whole, name).update({first + row: value for row, value in getattr(result, name).items()})
@@ -218,30 +214,24 @@ class TaskResult:
 
 @dataclass(frozen=True)
 class Call:
-    """A function and its arguments, which a worker with the code of an experiment is to compute; as a job, itself."""
+    """A job: a function that a worker with the code of an experiment is to call."""
 
     experiment_reference: str
     number: int
-    function: Callable[..., Any]
-    arguments: tuple[Any, ...]
-    time_limit_s: float | None = None
-    source_digest: str | None = None
+    function: Callable[[], Any]
     cost = 1.0
 
     def __len__(self) -> int:
         return 1
 
-    def task(self, limits: Limits = NO_LIMITS, _enough_s: float = 0.0) -> "Call":
+    def task(self, limits: Limits = NO_LIMITS, _enough_s: float = 0.0) -> Task:
         """Return what a worker gets."""
-        return replace(self, time_limit_s=limits.time_s)
+        unit = PointBlock(({},), b"", Block(0, 0, 0, 1, 1))
+        return Task(self.experiment_reference, 0, (unit,), time_limit_s=limits.time_s, function=self.function)
 
     def alone(self) -> "list[Call]":
         """Return the call: it has no parts."""
         return [self]
-
-    def failed(self, reason: "Failure") -> Any:
-        """Raise SweepError: nothing goes on without the result of a call."""
-        raise SweepError(f"{reason.message}, perhaps for lack of memory")
 
 
 @dataclass(frozen=True)
@@ -276,10 +266,6 @@ class Batch:
     def alone(self) -> "list[Batch]":
         """Return each block by itself."""
         return [replace(self, works=[work]) for work in self.works]
-
-    def failed(self, reason: Failure) -> TaskResult:
-        """Return the result of work that failed."""
-        return TaskResult.failed(len(self), reason)
 
 
 # What an executor computes in one piece.

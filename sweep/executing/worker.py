@@ -25,8 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.sweep.code import load_experiment
-from linksweep.sweep.contract import Experiment, NotFiniteError, Outcome, Point, SweepError, shown
-from linksweep.sweep.executing.task import Call, Captured, Failure, PointBlock, Task, TaskResult, TimeLimitError
+from linksweep.sweep.contract import Experiment, NotFiniteError, Outcome, Point, shown
+from linksweep.sweep.executing.task import Captured, Failure, PointBlock, Task, TaskResult, TimeLimitError
 from linksweep.sweep.functions.results import layout_differences, same_value
 from linksweep.sweep.interrupt import SIGNALS
 from linksweep.sweep.planning.plan import generators_of
@@ -314,18 +314,9 @@ _dependence: dict[tuple[Who, float], str] = {}
 _agreed: set[Who] = set()
 
 
-def compute(task: Task | Call, deadlines: Deadlines | None = None) -> Any:
-    """Return the result of a task; of a call its value and None, or None and what it raised."""
-    deadlines = deadlines or Deadlines()
-    if isinstance(task, Task):
-        return TaskResult.joined([*run_units(task, deadlines)])
-    try:
-        with deadlines.within(task.time_limit_s):
-            return task.function(*task.arguments), None
-    except TimeLimitError:
-        return None, SweepError(f"a piece of the work took longer than the time limit of {task.time_limit_s:g} s")
-    except Exception as error:  # raised again by the client
-        return None, error
+def compute(task: Task, deadlines: Deadlines | None = None) -> TaskResult:
+    """Return the result of a task."""
+    return TaskResult.joined([*run_units(task, deadlines or Deadlines())])
 
 
 def run_units(task: Task, deadlines: Deadlines, apart: bool = False) -> Iterator[TaskResult]:
@@ -335,11 +326,10 @@ def run_units(task: Task, deadlines: Deadlines, apart: bool = False) -> Iterator
     None begins after `ENOUGH_S` or the task's ``enough_s``, whichever is longer, nor after a point that took too long:
     its other blocks would too, and the rest is given out again.
     """
-    begun, computing = time.monotonic(), _Computing(task, deadlines)
-    if task.first:
-        with captured():  # what a second call says was said by the first
-            yield TaskResult(np.zeros(0), refused=computing.how_calls_differ(task.units, task.first))
+    if task.function is not None:
+        yield _returned(task.function, task.time_limit_s, deadlines)
         return
+    begun, computing = time.monotonic(), _Computing(task, deadlines)
     caller = computing.who, threading.get_ident()
     for result in computing.results(apart):
         result.cold = caller not in _called and float(result.seconds[0]) < IMPORTS_S
@@ -349,6 +339,19 @@ def run_units(task: Task, deadlines: Deadlines, apart: bool = False) -> Iterator
         is_over = any(failure.kind == "time limit" for failure in result.failures.values())
         if is_over or time.monotonic() - begun > max(ENOUGH_S, task.enough_s):
             return
+
+
+def _returned(function: Callable[[], Any], time_limit_s: float | None, deadlines: Deadlines) -> TaskResult:
+    """Return the result of the task of calling a function."""
+    row: tuple[Any, Exception | None]
+    try:
+        with deadlines.within(time_limit_s):
+            row = function(), None
+    except TimeLimitError as error:
+        return TaskResult.failed(1, Failure.raised(error, time_limit_s))
+    except Exception as error:  # raised again by the client
+        row = None, error
+    return TaskResult(np.zeros(1), {0: Outcome(row)})
 
 
 class _Computing:
@@ -380,7 +383,8 @@ class _Computing:
                 continue
             said.taken()  # the units print it again, one by one
             for unit in units:
-                yield [unit], self._alone(unit)
+                begun = time.perf_counter()
+                yield [unit], _result(self._rows(unit, unit.points), begun)
 
     def _together(self, units: Sequence[PointBlock]) -> TaskResult | None:
         """Return the result of units from one call: of all points of a vectorised function, or of blocks of one point
@@ -401,20 +405,21 @@ class _Computing:
             return None
         if isinstance(got, BaseException):
             return None
-        failures = {k: Failure.raised(one.row) for k, one in enumerate(got) if isinstance(one.row, NotFiniteError)}
-        outcomes = {k: one for k, one in enumerate(got) if k not in failures}
-        return TaskResult(np.full(len(got), (time.perf_counter() - begun) / len(got)), outcomes, failures)
+        return _result([Failure.raised(one.row) if isinstance(one.row, NotFiniteError) else one for one in got], begun)
 
-    def _alone(self, unit: PointBlock) -> TaskResult:
-        """Return the result of a unit."""
-        result, rows = TaskResult.failed(len(unit.points)), list(range(len(unit.points)))
-        begun = time.perf_counter()
-        if not self._try(rows, unit, result) and len(rows) > 1:
-            result.failures.clear()
-            for row in rows:  # which of those that share the draw is to blame?
-                self._try([row], unit, result)
-        result.seconds[:] = (time.perf_counter() - begun) / len(rows)
-        return result
+    def _rows(self, unit: PointBlock, some: Sequence[dict[str, Any]]) -> Sequence[Outcome | Failure]:
+        """Return what some points of a unit leave, or why they fail."""
+        task, experiment, n_sim = self.task, self.experiment, unit.block.n_sim
+        pairs = [] if experiment.deterministic else generators_of(task.seed, unit.stream, unit.block)
+        points = [experiment.defaults() | point for point in some]
+        got = self._outcomes(unit, len(some), lambda: experiment.compute(points, n_sim, pairs, task.keep_samples))
+        if not isinstance(got, BaseException):
+            return got
+        if not task.caught and not isinstance(got, TimeLimitError):
+            raise got
+        if len(some) > 1:  # which of those that share the draw is to blame?
+            return [row for point in some for row in self._rows(unit, [point])]
+        return [Failure.raised(got, task.time_limit_s)]
 
     def _outcomes(
         self, unit: PointBlock, points: int, call: Callable[[], list[Outcome]], turn: int = 0
@@ -430,21 +435,6 @@ class _Computing:
             if is_interruption(error):
                 raise
             return error
-
-    def _try(self, rows: list[int], unit: PointBlock, result: TaskResult) -> bool:
-        """Compute some points of a unit and fill in these rows of its result; return whether that succeeded."""
-        task, experiment = self.task, self.experiment
-        pairs = [] if experiment.deterministic else generators_of(task.seed, unit.stream, unit.block)
-        points = [experiment.defaults() | unit.points[row] for row in rows]
-        n_sim, samples = unit.block.n_sim, task.keep_samples
-        got = self._outcomes(unit, len(rows), lambda: experiment.compute(points, n_sim, pairs, samples))
-        if isinstance(got, BaseException):
-            if not task.caught and not isinstance(got, TimeLimitError):
-                raise got
-            result.failures.update(dict.fromkeys(rows, Failure.raised(got, task.time_limit_s)))
-            return False
-        result.outcomes.update(zip(rows, got, strict=True))
-        return True
 
     def _checked(self, units: Sequence[PointBlock]) -> list[Outcome]:
         """Return what a vectorised function returns for the points of units.
@@ -463,18 +453,12 @@ class _Computing:
         return outcomes
 
     def _repeat(self, units: Sequence[PointBlock], result: TaskResult) -> None:
-        """Call a repeatable function again at the points of some units, and say in their result if it then differs, or
-        that another process is to do so.
-        """
-        seconds = float(result.seconds.sum())
-        if not self.task.repeatable or not result.outcomes or self.who in _agreed or seconds > LONGEST_S:
-            return
-        if seconds > self.task.at_once_s:
-            result.again = True
-        else:
-            result.refused = self.how_calls_differ([units[k] for k in result.outcomes], [*result.outcomes.values()])
+        """Call a repeatable function again at the points of some units, and say in their result if it then differs."""
+        is_short = float(result.seconds.sum()) <= LONGEST_S
+        if self.task.repeatable and result.outcomes and self.who not in _agreed and is_short:
+            result.refused = self._how_calls_differ([units[k] for k in result.outcomes], [*result.outcomes.values()])
 
-    def how_calls_differ(self, units: Sequence[PointBlock], first: Sequence[Outcome]) -> str:
+    def _how_calls_differ(self, units: Sequence[PointBlock], first: Sequence[Outcome]) -> str:
         """Call the function again at the points of some units; return a sentence if it then gives other results than
         the ``first``, or raises an exception, '' if it gives the same.
         """
@@ -488,8 +472,6 @@ class _Computing:
         if isinstance(again, BaseException):
             how = f"and then raises {type(again).__name__}"
         else:
-            # What is large of the first results was written before they were sent here.
-            again = [*self.task.keep(dict(enumerate(again))).values()] if self.task.first else again
             how = next(filter(None, map(_difference, first, again)), "")
         if not how:
             _agreed.add(self.who)
@@ -500,6 +482,13 @@ class _Computing:
             "numbers takes them from its argument rng; one whose results need not be the same declares "
             "@experiment(deterministic=False)"
         )
+
+
+def _result(rows: Sequence[Outcome | Failure], begun: float) -> TaskResult:
+    """Return the result of units from their rows, which were computed together since ``begun``."""
+    outcomes = {k: row for k, row in enumerate(rows) if isinstance(row, Outcome)}
+    failures = {k: row for k, row in enumerate(rows) if isinstance(row, Failure)}
+    return TaskResult(np.full(len(rows), (time.perf_counter() - begun) / len(rows)), outcomes, failures)
 
 
 def alike(units: Sequence[PointBlock]) -> Iterator[tuple[PointBlock, ...]]:

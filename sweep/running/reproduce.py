@@ -115,7 +115,7 @@ def verify(study: Study, where: Where, number: int) -> tuple[int, list[str], lis
     chosen = heapq.nsmallest(number, grid.points(done), key=lambda point: point.digest)
 
     def computed(points: Sequence[GridPoint]) -> list[tuple[xr.Dataset, str]]:
-        with Children(study.experiment_reference, forked=False) as child:  # a fork has the state of this process
+        with Children(forked=False) as child:  # a fork has the state of this process
             return [_alone(study, point, child.run) for point in points]
 
     differing: list[str] = []

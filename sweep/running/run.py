@@ -131,14 +131,14 @@ def record_code(store: Store, study: Study, say: Callable[[str], None]) -> None:
 
 def records_with_rows(store: Store) -> list[dict[str, Any]]:
     """Return the records of code that has made rows of an open store."""
-    return [record for record in records_of(store.attributes) if record["first_row"] < store.next_row]
+    return [record for record in records_of(store.attributes) if record["first_row"] < store.rows.end]
 
 
 def begin_code(store: Store, code: Mapping[str, str]) -> None:
     """Record which code makes the rows that follow, before there are any."""
     records = records_with_rows(store)
     if not records or records[-1]["code"] != code:
-        records.append({"first_row": store.next_row if records else 0, "code": code})
+        records.append({"first_row": store.rows.end if records else 0, "code": code})
     if code or CODE in store.attributes:  # linksweep's own experiments are known by their version
         store.record({CODE: json.dumps(records)})
 
@@ -390,7 +390,7 @@ class Writer:
         self._refuse_results(np.flatnonzero(accumulator.status == Status.DONE).tolist())
         self.declared_files: Mapping[str, Path] = {}  # that the function reads, by name
         self._stamps: dict[str, float] = {}
-        self._steady = store.next_row
+        self._steady = store.rows.end
         self._lock = RLock()  # of the store
         self._problem: Exception | None = None
         self._ended = Event()
@@ -596,7 +596,7 @@ class Writer:
             self.store.record({CODE: json.dumps([*records, {"first_row": self._steady, "code": code}])})
             self.declared_files = {}  # it is said once
             return name
-        self._steady = self.store.next_row
+        self._steady = self.store.rows.end
         return ""
 
     def _flush_late(self) -> None:

@@ -87,10 +87,8 @@ def unsealed(content: bytes | None, file: str) -> dict[str, Any]:
         document: dict[str, Any] = json.loads(content)
         seal = document["attributes"].pop(SEAL)
         same = seal == _digest(file, document)
-    except RecursionError as error:
-        raise ValueError("it is nested too deeply") from error
-    except (TypeError, KeyError, AttributeError) as error:
-        raise ValueError("it has no checksum") from error
+    except (RecursionError, TypeError, KeyError, AttributeError) as error:
+        raise ValueError("it has no checksum, or is nested too deeply") from error
     if not same:
         raise ValueError("its checksum does not match its content and name")
     document["attributes"][SEAL] = seal
@@ -300,9 +298,11 @@ class _Code(_Part):
     code: Texts
 
 
-class Attributes(_Part):
-    """The attributes of a root document."""
+class Attributes(_Part, extra="allow"):
+    """The attributes of a root document; those that are not named here are texts."""
 
+    __pydantic_extra__: Texts
+    linksweep_format: int
     store_id: str
     generation: Count
     complete: Literal[0, 1] = 0
@@ -322,17 +322,7 @@ class Attributes(_Part):
     conclusion: Json[Object] | None = None
     shared_axes: Json[list[str]] = []
     citation: Json[list[str]] = []
-    title: str = ""
-    study: str = ""
-    study_name: str = ""
-    study_digest: str = ""
-    study_overrides: str = ""
-    started: str = ""
-    finished: str = ""
-    experiment: str = ""
-    function: str = ""
     part: Annotated[str, Field(pattern=r"^[1-9]\d{0,5}/[1-9]\d{0,5}$")] | None = None
-    lost_parts: str = ""
     seed: int = 0
     n_sim: Size = 1
     n_cat: Size = 1

@@ -212,18 +212,16 @@ Record = dict[str, str]
 Blocks = tuple[NDArray[Any], NDArray[Any]]
 
 
-class DamagedError(SweepError):
-    """Files of a ledger are not what was written; ``files`` maps their names to what is wrong."""
-
-    def __init__(self, location: Location, files: Mapping[str, str]) -> None:
-        problems = [f"{file} is damaged ({problem})" for file, problem in files.items()]
-        problems[-1] += f"; {REPAIR}, and the next `sweep run` computes again what is lost"
-        super().__init__(problems, str(location))
+def damage(location: Location, files: Mapping[str, str]) -> SweepError:
+    """Return the error for files of a ledger that are not what was written, by their names with what is wrong."""
+    problems = [f"{file} is damaged ({problem})" for file, problem in files.items()]
+    problems[-1] += f"; {REPAIR}, and the next `sweep run` computes again what is lost"
+    return SweepError(problems, str(location))
 
 
 class Ledger:
-    """Knows the row of every finished block, and appends others; raises SweepError where files cannot be read or
-    written, and DamagedError.
+    """Knows the row of every finished block, and appends others; raises SweepError where files are damaged, and
+    where they cannot be read or written.
     """
 
     def __init__(self, location: Location, of_root: Manifest, writes: bool = False) -> None:
@@ -302,7 +300,7 @@ class Ledger:
                 contents = self._location.get_all([path_of(part.rows) for part in self.parts]) | self._unwritten_files
             self._rows = np.ascontiguousarray(self._records(contents, damaged)["row"])
             if damaged:
-                raise DamagedError(self._location, damaged)
+                raise damage(self._location, damaged)
         return self._rows
 
     def seconds(self) -> Array:
@@ -526,7 +524,7 @@ class Ledger:
                 shape = int(_counts(records).sum()), self.samples_width
                 samples = np.frombuffer(self._raw(part.samples)).reshape(shape)
         if damaged:
-            raise DamagedError(self._location, damaged)
+            raise damage(self._location, damaged)
         self._remember(part, (records, samples))
         return records, samples
 

@@ -112,24 +112,14 @@ class Folder:
         for key, old in names.items():
             self.delete(key)
             self._at(key).parent.mkdir(parents=True, exist_ok=True)
-            try:
-                os.link(self._at(old), self._at(key))
-            except OSError:
-                self._write(key, self._at(old).read_bytes(), durable=False)
+            _link(self._at(old), self._at(key))
 
     def create(self, key: str, content: bytes) -> bool:
         """Write a file unless there is one, by linking a finished one to its name; return whether it was written."""
         path = self._at(key)
         with _finished(path, content, durable=True) as temporary, suppress(FileExistsError):
             # A link fails where the name exists, and brings the whole content with it: no reader sees half a lock.
-            try:
-                os.link(temporary, path)
-            except FileExistsError:
-                raise
-            except OSError:
-                # A file system without links.
-                with path.open("xb") as file:
-                    file.write(content)
+            _link(temporary, path)
             return True
         return False
 
@@ -240,6 +230,19 @@ def _finished(path: Path, content: bytes, *, durable: bool) -> Iterator[Path]:
         yield temporary
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def _link(path: Path, name: Path) -> None:
+    """Give a file another name; a file system without links, or with no more for a file, copies it.  Raises
+    FileExistsError where the name exists.
+    """
+    try:
+        os.link(path, name)
+    except FileExistsError:
+        raise
+    except OSError:
+        with name.open("xb") as file:
+            file.write(path.read_bytes())
 
 
 def file_named(key: str) -> str:

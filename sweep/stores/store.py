@@ -32,7 +32,7 @@ from linksweep.sweep.contract import Outcome, SweepError, suggest
 from linksweep.sweep.contract.rows import DIGEST_BYTES, EXACT_INT, LENGTH, MISSING_INT, absent, is_large, lost_integers
 from linksweep.sweep.stores import integrity, ledger as ledgers
 from linksweep.sweep.stores.integrity import CHUNKS, FORMAT, LEDGER_THEN, MANIFEST, REVISION, ROOT, SEAL, STORE
-from linksweep.sweep.stores.ledger import DamagedError, Ledger
+from linksweep.sweep.stores.ledger import Ledger
 from linksweep.sweep.stores.location import RESULTS, Folder, Location, Where, holder, located, locked, reading, writing
 
 if TYPE_CHECKING:
@@ -68,9 +68,6 @@ TIMES = {"units": "nanoseconds since 1970-01-01", "calendar": "proleptic_gregori
 
 # What a file says that it has in place of a missing float, NaN, as xarray writes it for Zarr 3.
 MISSING_FLOAT = base64.b64encode(np.float64("nan").tobytes()).decode()
-
-# Words by which a document of a store can be recognised even if it is damaged.
-MARKS = (b"linksweep_format", b"study_meaning", b"study_digest")
 
 UNFINISHED = (
     "is unfinished: its run has just begun, or ended before it wrote results; nothing is damaged, "
@@ -131,7 +128,7 @@ class OpenStore:
                 if ledger.is_unchanged():
                     # Else a run has replaced files that were not read yet.
                     break
-        raise DamagedError(self.location, ledger.damaged)
+        raise ledgers.damage(self.location, ledger.damaged)
 
 
 class Store(OpenStore):
@@ -193,7 +190,7 @@ class Store(OpenStore):
         """Raise SweepError where files of the ledger that opening did not read are damaged."""
         self._ledger.verify()
         if self._ledger.damaged:
-            raise DamagedError(self.location, self._ledger.damaged)
+            raise ledgers.damage(self.location, self._ledger.damaged)
 
     def write(self, dataset: Any) -> None:
         """Replace the labelled dataset, in one step for readers; raises SweepError where it cannot be written."""
@@ -288,11 +285,6 @@ class Store(OpenStore):
             if self.location.get(ROOT) == integrity.sealed(before, ROOT):
                 self.root = before
             raise
-
-    @property
-    def next_row(self) -> int:
-        """The row of the ledger that the next block gets."""
-        return self.rows.end
 
     def record(self, attributes: Mapping[str, Any]) -> None:
         """Record more of the study, such as which code makes the blocks from now on, before there are any."""
@@ -421,10 +413,9 @@ def find_root(location: Location) -> dict[str, Any] | None:
                         f"is a stored {kind}, without points and a ledger: see `sweep show`", where
                     ) from error
                 _check_format(attributes, where)
-            if location.get(MANIFEST) is not None or any(mark in (content or b"") for mark in MARKS):
-                ways = "so bring one back from a backup, or run the study into a new store with -o"
-                raise SweepError(f"{ROOT} and its copy in {ledgers.FOLDER} are both damaged, {ways}", where) from error
-            raise SweepError("is not a store of linksweep (foreign or half-made)", where) from error
+            ways = "bring one of these back from a backup, or give another store with -o"
+            whole = f"is not a store of linksweep, or its {ROOT} and the copy in {ledgers.FOLDER} are damaged: {ways}"
+            raise SweepError(whole, where) from error
 
 
 def _check_format(attributes: Mapping[str, Any], where: str) -> None:
@@ -586,15 +577,13 @@ def decode(root: Mapping[str, Any], location: Location) -> "xr.Dataset":
             warnings.filterwarnings("ignore", message="Consolidated metadata")
             # Without durations: older xarray makes some of numbers in "days", "hours" and the like.
             whole = MemoryStore(files, read_only=True)
-            opened = xr.open_zarr(whole, chunks=None, consolidated=True, decode_timedelta=False)
+            opened = xr.open_zarr(whole, chunks=None, consolidated=True, decode_timedelta=False, mask_and_scale=False)
             dataset: xr.Dataset = opened.drop_vars(lazy).load().assign({name: opened[name] for name in lazy})
-            gaps = [n for n, d in arrays_of(root).items() if d["data_type"] == "int64" and dataset[n].dtype.kind == "f"]
-            if any((np.abs(dataset[name].values) >= EXACT_INT).any() for name in gaps):
-                # Xarray has rounded them.
-                stored = xr.open_zarr(whole, chunks=None, mask_and_scale=False)
-                dataset = dataset.assign(
-                    {n: dataset[n].variable.copy(data=with_gaps(stored[n].values, stored[n].attrs[FILL])) for n in gaps}
-                )
+            for name in [name for name, variable in dataset.variables.items() if FILL in variable.attrs]:
+                variable = dataset[name].variable
+                variable.encoding[FILL] = fill = variable.attrs.pop(FILL)
+                if variable.dtype.kind == "i":  # xarray would round large ones beside those that are missing
+                    dataset[name] = variable.copy(data=with_gaps(variable.values, fill))
     except Exception as error:
         # Of forged documents: each codec of Zarr raises its own.
         raise ValueError(" ".join(str(error).split()) or type(error).__name__) from error

@@ -25,12 +25,12 @@ seed = 7
 """
 DECAY = b"def decay(years: float, half_life: float, rng):\n    return {'left': rng.random() ** years, 'lost': years}\n"
 NO_ADDRESSES = ["host", "nonsense://x:1", "tcp://", "tcp://:1"]
-NOT_A_STORE = "is not a store of linksweep (foreign or half-made)"
+NOT_A_STORE = "is not a store of linksweep"
 ROOT = {"zarr_format": 3, "node_type": "group"}
 FOREIGN = {  # by what stands there: its files, and what is said
     "a directory": ({"thesis.txt": "irreplaceable"}, NOT_A_STORE),
     "a file": ({"": "irreplaceable"}, NOT_A_STORE),
-    "half made": ({"blocks/zarr.json": "{}"}, "zarr.json and its copy in blocks are both damaged"),
+    "half made": ({"blocks/zarr.json": "{}"}, "zarr.json and the copy in blocks are damaged"),
     "cut metadata": ({"zarr.json": '{"attributes": {"linksweep_f'}, NOT_A_STORE),
     "foreign Zarr": ({"zarr.json": json.dumps(ROOT | {"attributes": {"a": 1}})}, NOT_A_STORE),
     "newer": ({"zarr.json": json.dumps(ROOT | {"attributes": {"linksweep_format": 99}})}, "It is newer: upgrade"),

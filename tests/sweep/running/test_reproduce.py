@@ -83,7 +83,7 @@ def written(folder, text):
 @pytest.mark.parametrize("forked", [True, slow(False)])  # forks are quick, and see what this process has changed
 @pytest.mark.parametrize("kind", [kind if kind == "a counter" else slow(kind) for kind in DIFFERENT])
 def test_points_that_differ_are_named(kind, forked, tmp_path, sweep, monkeypatch):
-    monkeypatch.setattr(reproduce, "Children", lambda reference, **_: Children(reference, forked=forked))
+    monkeypatch.setattr(reproduce, "Children", lambda **_: Children(forked=forked))
     code, out, err = sweep("run", *written(tmp_path, DIFFERENT[kind]), "--verify", "2", cwd=tmp_path)
     differing = [line for line in err.splitlines() if line.startswith("differs: x=")]
     assert (code, "f" in out, "every bit" in err) == (1, True, False), err

@@ -106,7 +106,7 @@ def turn(number, shape=(50, 40)):
     values = {"value": np.where(status == 1, float(number), np.nan), "again": np.full(shape, float(number))}
     variables = {name: (("x", "y"), array) for name, array in (values | {"status": status}).items()}
     variables["constant"] = ("x",), np.arange(shape[0])
-    return xr.Dataset(variables, attrs={"study_digest": "", "turn": number})
+    return xr.Dataset(variables, attrs={"study_digest": "", "turn": str(number)})
 
 
 def test_a_reader_sees_one_writing_or_another_or_is_told(path, coins, monkeypatch):
@@ -137,7 +137,7 @@ def test_a_reader_sees_one_writing_or_another_or_is_told(path, coins, monkeypatc
             refused += error.problems
             continue
         values, done = dataset["value"].values, dataset["status"].values == 1
-        found = {*np.unique(values[done]), *dataset["again"].values.ravel(), dataset.attrs["turn"]}
+        found = {*np.unique(values[done]), *dataset["again"].values.ravel(), int(dataset.attrs["turn"])}
         assert (len(found), np.isnan(values[~done]).all()) == (1, True)
         seen |= found
     assert len(seen) > 10
