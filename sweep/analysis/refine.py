@@ -24,7 +24,7 @@ from linksweep.sweep.planning.union import REFINED, Round, point_at, refined, ro
 from linksweep.sweep.running.run import find_store, open_store, with_stored
 from linksweep.sweep.stores.location import Where, locked
 from linksweep.sweep.stores.store import OpenStore
-from linksweep.sweep.studies.points import NEAR, are_near
+from linksweep.sweep.studies.points import NEAR
 from linksweep.sweep.studies.study import Study
 
 SHARE = 0.2  # of the realisations of the full grid: where so many are spent points get no more, unless the user says so
@@ -270,4 +270,4 @@ def _middle(values: Sequence[Any], low: float, high: float) -> float:
         return int(min(max(round(half), low + 1), high - 1)) if high - low >= 2 else int(low)
     rounded = (float(f"{half:.{digits}g}") for digits in range(1, 18))
     middle = next(x for x in rounded if abs(x - half) <= OFF_CENTRE * (half - low))
-    return low if are_near(low, middle) or are_near(middle, high) else middle
+    return low if any(math.isclose(middle, end, rel_tol=NEAR) for end in (low, high)) else middle

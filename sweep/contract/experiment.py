@@ -14,8 +14,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import dataclass, field, fields
-from decimal import Context, Decimal
+from dataclasses import dataclass, field, fields, replace
 from fractions import Fraction
 from functools import cached_property, lru_cache
 from importlib.metadata import PackageNotFoundError, version
@@ -29,9 +28,6 @@ from linksweep.sweep.formatting import ESCAPED, harmless, plain
 
 # The most names that a message lists.
 FEW = 20
-
-# Many more digits than numbers have, so that a product is rounded once, where it becomes one.
-_DIGITS = Context(prec=60)
 
 
 class SweepError(Exception):
@@ -167,20 +163,16 @@ def factor_between(one: str, other: str) -> float | None:
 
 
 @lru_cache(maxsize=256)
-def _ratio(factor: float) -> tuple[Decimal, Decimal]:
-    """Return two integers whose ratio is a factor without its rounding error: 1e9 to 1 for 999999999.9999999."""
+def _ratio(factor: float) -> Fraction:
+    """Return a factor without its rounding error: 10**9 for 999999999.9999999."""
     short = Fraction(f"{factor:.14g}"), 1 / Fraction(f"{1.0 / factor:.14g}"), Fraction(factor).limit_denominator(10_000)
     near = (one for one in short if math.isclose(one, factor, rel_tol=4 * sys.float_info.epsilon))
-    over, under = next(near, Fraction(factor)).as_integer_ratio()
-    return Decimal(over), Decimal(under)
+    return next(near, Fraction(factor))
 
 
 def rescaled(number: float, factor: float) -> float:
     """Return ``factor`` times a number as it is written, rounded once: 1.1 cm are 0.011 m and no other number."""
-    if factor == 1.0:
-        return number
-    over, under = _ratio(factor)
-    return float(_DIGITS.divide(_DIGITS.multiply(Decimal(str(number)), over), under))
+    return float(Fraction(str(number)) * _ratio(factor)) if factor != 1.0 and math.isfinite(number) else number
 
 
 def same_unit(one: str, other: str) -> bool:
@@ -943,6 +935,11 @@ class Experiment:
             if parameter.name == name:
                 return parameter
         raise ValueError(f"unknown parameter {shown(name)}{suggest(name, [p.name for p in self.parameters])}")
+
+    def with_setting(self, setting: str, values: Mapping[str, Any]) -> "Experiment":
+        """Return the experiment with other values of one setting of its parameters, by their names."""
+        changed = (replace(p, **{setting: values[p.name]}) if p.name in values else p for p in self.parameters)
+        return replace(self, parameters=tuple(changed)) if values else self
 
     def defaults(self) -> dict[str, Value]:
         """Return the default of every parameter."""

@@ -259,20 +259,20 @@ def _joined(old: list[Row], new: list[Row]) -> list[Row]:
 
 def _experiment(stored: Study, asked: Study, columns: Mapping[str, Sequence[Value]]) -> Experiment:
     """Return the experiment with the named values of both; the store has no more of its own than their identity."""
-    experiment, parameters = asked.experiment, []
-    for parameter in experiment.parameters:
+    defined: dict[str, tuple[Named, ...]] = {}
+    for parameter in asked.experiment.parameters:
         values = (*parameter.defined, *columns.get(parameter.name, ()))
-        names = {one.name: one for one in values if isinstance(one, Named)}
-        parameters.append(replace(parameter, defined=tuple(names.values())))
-    if tuple(parameters) == experiment.parameters:
-        return experiment
+        defined[parameter.name] = tuple({one.name: one for one in values if isinstance(one, Named)}.values())
+    experiment = asked.experiment.with_setting("defined", defined)
+    if experiment.parameters == asked.experiment.parameters:
+        return asked.experiment
     present, recorded = experiment.cost, stored.experiment.cost
 
     def cost(point: Point) -> float:
         is_known = not any(isinstance(value, Named) and value.value is Unknown for value in point.values())
         return present(point) if is_known else recorded(point)
 
-    return replace(experiment, parameters=tuple(parameters), cost=cost if experiment.says_cost else present)
+    return replace(experiment, cost=cost if experiment.says_cost else present)
 
 
 def _sampling(stored: Study, asked: Study) -> Sampling:

@@ -4,27 +4,26 @@ import json
 import math
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import Annotated, Any
-
-from pydantic import Field, TypeAdapter
+from typing import Any
 
 from linksweep.sweep.contract import Experiment, Parameter
 from linksweep.sweep.studies.study import Form, Sampling
 
 Schema = dict[str, Any]
 
-# The types of values that a study has for parameters of each kind.
-TYPES: dict[str, Any] = {
-    "float": float,
-    "int": int,
-    "str": str,
-    "bool": bool,
-    "any": Any,
-    "object": Any,
-    "vector": Annotated[list[float], Field(min_length=3, max_length=3)],
-    "map": dict[str, str],
-    "file": str,
-    "files": dict[str, str],
+# The values that a study has for parameters of each kind.
+_TEXTS: Schema = {"type": "object", "additionalProperties": {"type": "string"}}
+VALUES: dict[str, Schema] = {
+    "float": {"type": "number"},
+    "int": {"type": "integer"},
+    "str": {"type": "string"},
+    "bool": {"type": "boolean"},
+    "any": {},
+    "object": {"not": {"type": ["number", "string", "boolean"]}},
+    "vector": {"type": "array", "items": {"type": "number"}, "minItems": 3, "maxItems": 3},
+    "map": _TEXTS,
+    "file": {"type": "string"},
+    "files": _TEXTS,
 }
 
 
@@ -146,9 +145,7 @@ def _ways(parameter: Parameter, ranges: Sequence[Schema], *lists: Schema) -> Sch
 
 
 def _value(parameter: Parameter) -> Schema:
-    schema: Schema = TypeAdapter(TYPES[parameter.kind]).json_schema()
-    if parameter.kind == "object":
-        schema["not"] = {"type": ["number", "string", "boolean"]}
+    schema = dict(VALUES[parameter.kind])
     bounds = {"minimum": parameter.minimum, "maximum": parameter.maximum, "exclusiveMinimum": parameter.above}
     if parameter.kind in ("float", "int"):
         schema |= {key: bound for key, bound in bounds.items() if bound is not None and math.isfinite(bound)}

@@ -12,7 +12,7 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from decimal import Context, Decimal
 from enum import Enum
 from fractions import Fraction
@@ -180,11 +180,7 @@ class Values:
             spec = without_unit(spec, parameter)
             if not (raw_values := axis_values(spec, whole=parameter.kind == "int")):
                 raise ValueError("an axis needs at least one value")
-            values = self.several(place, name, raw_values)
-            counts = Counter((type(value), value) for value in values or ())
-            if repeated := dict.fromkeys(shown(value) for value in values or () if counts[type(value), value] > 1):
-                self.problems.add(place, f"duplicate values {first_of([*repeated], 10)}")
-            return values
+            return self.several(place, name, raw_values)
         return None
 
     def several(
@@ -194,12 +190,8 @@ class Values:
         ``rows``.
         """
         before = len(self.problems.sentences)
-        values = []
-        for number, raw in enumerate(raw_values, start=1):
-            values.append(self.one(place, name, raw, f"row {number}: " if rows else ""))
-            if len(self.problems.sentences) >= before + 5:  # of a million values all may be wrong
-                self.problems.add(place, "... and perhaps more values like these")
-                break
+        numbered = enumerate(raw_values, start=1)
+        values = [self.one(place, name, raw, f"row {number}: " if rows else "") for number, raw in numbered]
         if len(self.problems.sentences) > before:
             return None
         is_any = self.experiment.parameter(name).kind == "any"  # others have numbers of one type
@@ -256,15 +248,13 @@ def numbers_like(known: Iterable[Value], values: Iterable[Value]) -> tuple[Value
     return tuple(first.get(value, value) if type(value) in (int, float) else value for value in values)
 
 
-def are_near(one: float, other: float) -> bool:
-    """Return whether two numbers differ by no more than rounding."""
-    return abs(other - one) <= NEAR * max(abs(one), abs(other))
-
-
 def require_distinct(values: Sequence[Value], may_repeat: bool = False) -> None:
-    """Raise ValueError for numbers that cannot be values of one coordinate: integers that no float equals beside
-    floats, equal ones of two types, and unless values ``may_repeat`` two that differ by no more than rounding.
+    """Raise ValueError for what cannot be values of one coordinate: integers that no float equals beside floats, equal
+    numbers of two types, and unless values ``may_repeat`` those that do, and numbers that differ by rounding alone.
     """
+    counts = Counter() if may_repeat else Counter((type(value), value) for value in values)
+    if repeated := dict.fromkeys(shown(value) for value in values if counts[type(value), value] > 1):
+        raise ValueError(f"duplicate values {first_of([*repeated], 10)}")
     kinds = {*map(type, values)} & {int, float}
     if kinds == {int} or (may_repeat and len(kinds) < 2):  # a table may have a million rows
         return
@@ -272,7 +262,8 @@ def require_distinct(values: Sequence[Value], may_repeat: bool = False) -> None:
     if inexact := next((value for value in numbers if value != float(value)), None):
         raise ValueError(f"{inexact} cannot stand beside numbers with a fraction: no float equals it")
     for one, other in pairwise(numbers):
-        if are_near(one, other) and (type(one) is not type(other) if one == other else not may_repeat):
+        is_repeated = type(one) is type(other) if one == other else may_repeat
+        if math.isclose(one, other, rel_tol=NEAR) and not is_repeated:
             raise ValueError(f"{one!r} and {other!r}, two points, are equal but for rounding: give one of them")
 
 
@@ -761,14 +752,13 @@ def compared(parameter: Parameter, raw: Any) -> Value:
 def with_default_objects(experiment: Experiment) -> Experiment:
     """Return the experiment of a function with the objects among its defaults, where they have labels of their own."""
     arguments = inspect.signature(call).parameters if (call := getattr(experiment, "call", None)) else {}
-    parameters = list(experiment.parameters)
-    for place, one in enumerate(parameters):
-        may_be = bool(arguments) and (one.takes_objects or one.kind == "float")  # which may be infinite
-        is_none = may_be and one.default is None and not one.required
-        if is_none and (default := arguments[one.name].default) is not None:
+    defaults: dict[str, Named] = {}
+    for one in experiment.parameters if arguments else ():
+        may_be = one.takes_objects or one.kind == "float"  # which may be infinite
+        if may_be and one.default is None and not one.required and arguments[one.name].default is not None:
             with suppress(ValueError):
-                parameters[place] = replace(one, default=labelled(default))
-    return replace(experiment, parameters=tuple(parameters)) if arguments else experiment
+                defaults[one.name] = labelled(arguments[one.name].default)
+    return experiment.with_setting("default", defaults)
 
 
 def plain_value(value: Any) -> Any:

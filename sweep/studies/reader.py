@@ -78,13 +78,9 @@ def read_text(path: Path) -> str:
     """Return the text of a file of bounded size; raises SweepError where it cannot be read or is no UTF-8."""
     with refused(OSError, ValueError, said="cannot be read: ", where=path), path.open("rb") as file:
         content = file.read(MAX_FILE_BYTES + 1)  # no stat: a device or a pipe has no size
-    if len(content) > MAX_FILE_BYTES:
-        raise SweepError(f"is larger than {MAX_FILE_BYTES:,} bytes", str(path))
-    try:
+        if len(content) > MAX_FILE_BYTES:
+            raise SweepError(f"is larger than {MAX_FILE_BYTES:,} bytes", str(path))
         return content.decode("utf-8-sig").replace("\r\n", "\n")
-    except UnicodeDecodeError as error:
-        line = content.count(b"\n", 0, error.start) + 1
-        raise SweepError(f"not UTF-8 text: byte 0x{content[error.start]:02x} in line {line}", str(path)) from error
 
 
 def parsed(text: str, path: Path) -> dict[str, Any]:
@@ -412,9 +408,7 @@ class _Reader:
         form, experiment, broken = self._form_and_experiment()
         experiment = self._defined(experiment, form.define)
         when = {one.name: one.when for one in experiment.parameters if one.when} | form.when
-        parameters = [replace(one, when=when.get(one.name, {})) for one in experiment.parameters]
-        experiment = replace(experiment, parameters=tuple(parameters)) if when else experiment
-        values = Values(experiment, self.folder, problems)
+        values = Values(experiment.with_setting("when", when), self.folder, problems)
         experiment = values.experiment
         points, table = read_points(form, values, self.code)
         crossed = {name: values.axis(name, spec) for name, spec in form.axes.items()}
@@ -506,16 +500,15 @@ class _Reader:
         """Return the experiment with the objects that the study gives its parameters, each under one label, and with
         the conditions under which they have an effect.
         """
-        parameters = []
+        objects: dict[str, tuple[Named, ...]] = {}
         for parameter in experiment.parameters:
             name = parameter.name
             values = (*parameter.defined, *(axes.get(name) or ()), *([fixed[name]] if name in fixed else []))
             if parameter.takes_objects or parameter.optional:
                 with self.problems.at(("axes" if name in axes else "fixed", name)):
                     Values.require_labels(values)
-            objects = tuple({one.name: one for one in values if isinstance(one, Named)}.values())
-            parameters.append(replace(parameter, defined=objects, when=when.get(name, {})))
-        return replace(experiment, parameters=tuple(parameters))
+            objects[name] = tuple({one.name: one for one in values if isinstance(one, Named)}.values())
+        return experiment.with_setting("defined", objects).with_setting("when", when)
 
     def _form_and_experiment(self) -> tuple[Form, Experiment, set[str | int]]:
         """Return the document, as the options have changed it, without broken sections, so that the others are checked
@@ -579,8 +572,7 @@ class _Reader:
                         self.problems.add(("define", name, word), taken)
                 makes = parameter.define
                 defined[name] = tuple(self._named(makes, ("define", name, word), by_name[word]) for word in by_name)
-        changed = (replace(one, defined=defined.get(one.name, ())) for one in experiment.parameters)
-        return replace(experiment, parameters=tuple(changed)) if defined else experiment
+        return experiment.with_setting("defined", defined)
 
     def _named(self, define: Callable[..., Any], place: tuple[str, str, str], table: Mapping[str, Any]) -> Named:
         """Return the value that a table defines, with the functions that it names."""

@@ -805,15 +805,11 @@ class Study:
     @property
     def dimensions(self) -> dict[str, tuple[str, ...]]:
         """The axes along each dimension, by its name: `POINT`, or the first of them that has an effect all along."""
-        groups = [] if self.points is None else [(POINT, self.points.names)]
+        columns = () if self.points is None else self.points.names
         partner, partial = {name: group for group in self.zipped for name in group}, self.partial
-        zipped = (partner.get(name, (name,)) for name in self.axes)
-        groups += [(next((n for n in group if n not in partial), group[0]), group) for group in zipped]
-        dimensions: dict[str, tuple[str, ...]] = {}
-        for dimension, group in groups:
-            if not any(group[0] in axes for axes in dimensions.values()):
-                dimensions[dimension] = group
-        return dimensions
+        groups = dict.fromkeys(partner.get(name, (name,)) for name in self.axes if name not in columns)
+        named = {next((n for n in group if n not in partial), group[0]): group for group in groups}
+        return ({POINT: columns} if columns else {}) | named
 
     @property
     def is_ours(self) -> bool:

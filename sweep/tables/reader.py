@@ -66,8 +66,8 @@ _MEANINGS = re.compile(r"^#Column\t(\S+)\t\S+\t([^\t\n]*)", re.MULTILINE)
 _WORDS = {"degrees": "deg", "hours": "h", "radians": "rad", "MJD": "d", "years": "yr"}
 # A name between blanks that may have a unit behind it, or stand in quotes.
 _SPACED = re.compile(r'"[^"]+"|\S+(?:\s+[\[(][^\])]*[\])])?')
-# A name and the unit behind it.
-BRACKETS = re.compile(r"(.*?)\s*[\[(]([^\])]*)[\])]$")
+# A name and the unit behind it, in which there may be brackets, as in erg / (s cm2).
+BRACKETS = re.compile(r"(.*?)\s*[\[(]((?:[^\[\]()]|\([^()]*\))*)[\])]$")
 
 
 def read_table(path: Path, texts: Collection[str] = ()) -> Any:

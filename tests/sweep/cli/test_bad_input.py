@@ -111,7 +111,7 @@ WITH_FILES = {  # by the content of a file beside the study: what is said
         (b"# c\nv_max,sigma_spin\n16,0.5\n17\n", "line 4: does not have 2 cells as the header has"),
         (b"v_max,sigma_spin\n16," + b"1" * 200_000, "is not a CSV table: field larger than field limit"),
         (b"n_obj,sigma_spin\n2.5,1\n", "line 2: n_obj = 2.5: must be an integer"),  # an axis here, else a result
-        (b"v_max\n\xff\n", "not UTF-8 text: byte 0xff in line 2"),
+        (b"v_max\n\xff\n", "can't decode byte 0xff in position 6"),
     ],
     "mine.py": [
         (b"raise RuntimeError('no licence')", f"{MINE}cannot be imported: RuntimeError: no licence"),
@@ -171,7 +171,7 @@ FILES["link.zarr/zarr.json"] = json.dumps(ROOT | {"attributes": {"result": "tie"
 SOBOL = "plan quasars --design sobol:8"
 ANOTHER = "STORE: , name it holds results of a different study, name it give another store with -o, name it experiment:"
 COMMANDS = [
-    ("run french.toml", "french.toml: not UTF-8 text: byte 0xc9 in line 1"),
+    ("run french.toml", "french.toml: cannot be read: 'utf-8' codec can't decode byte 0xc9"),
     ("run large.toml", "large.toml: is larger than 1,000,000 bytes"),
     ("run mine.py --axis x=1", "mine.py: is Python, not a study, name it as mine.py:NAME"),
     ("run quasar", "no study 'quasar': neither a file nor a built-in study; did you mean 'quasars'?"),

@@ -177,6 +177,7 @@ FOREIGN = HERE.values.view(type("Foreign", (np.ndarray,), ITEMS))  # as of unyt
 CARRIED = [(far, "axes", one) for one in (Table({"d": KM})["d"], {"start": KM[0], "stop": KM[1], "num": 2})]
 CARRIED += [(far, key, some) for key in ("axes", "points") for some in (HERE, [*HERE], FOREIGN)]
 CARRIED += [(function, "fixed", some) for function, some in ((far, HERE[1]), (far, KM[1]), (measured, KM[1]))]
+CARRIED += [(far, key, HERE.values * u.Unit("kJ s2 / (kg m)")) for key in ("axes", "points")]
 CARRIED += [(f, *one) for f in (far, measured) for key in ("axes", "points") for one in ((key, KM), (key, [*KM]))]
 
 
