@@ -550,14 +550,14 @@ def named(what: str, values: object, known: Sequence[str], noun: str) -> list[st
     return problems + [f"{what}: {shown(n)} is no {noun}{suggest(n, known)}" for n in names if n not in known]
 
 
-def setting_problem(one: Parameter | Output) -> str | None:
+def setting_problem(one: "Parameter | Output | Experiment") -> str | None:
     """Return which text, truth value, number or unit of a declaration is none, None if all are."""
-    kinds: dict[Any, str] = {str: "a string", bool: "True or False", float | int | None: "a number"}
+    kinds: dict[Any, str] = {str: "a string", bool: "True or False", int: "an integer", float | int | None: "a number"}
     for each in fields(one):
         value, kind = getattr(one, each.name), kinds.get(each.type)
         if kind is not None and not isinstance(value, each.type):  # type: ignore[arg-type]
             return f"{each.name} = {shown(value)}: must be {kind}"
-    return unit_problem(one.unit)
+    return unit_problem(getattr(one, "unit", ""))
 
 
 def parameter_problems(parameter: Parameter) -> Iterator[str]:
@@ -978,11 +978,7 @@ class Experiment:
 
 def _problems(experiment: Experiment) -> list[str]:
     """Return a sentence for each mistake in a declaration, none if there are none."""
-    problems: list[str] = []
-    if not isinstance(experiment.name, str) or not experiment.name.strip():
-        problems.append(f"name = {shown(experiment.name)}: must be a text")
-    if type(experiment.version) is not int:
-        problems.append(f"version = {shown(experiment.version)}: must be an integer")
+    problems = [*filter(None, [setting_problem(experiment)])]
     parameters = members("parameters", experiment.parameters, Parameter, problems)
     outputs = members("outputs", experiment.outputs, Output, problems)
     samples = members("sample_outputs", experiment.sample_outputs, Output, problems)

@@ -300,10 +300,8 @@ def _cost_together(groups: Groups) -> float:
     total = 0.0
     for members in groups.values():
         for start in range(0, len(members), MOST_SHARING):
-            piece = members[start : start + MOST_SHARING]
-            draws = max(range(len(piece)), key=lambda k: piece[k][0])
-            for k, (cost, left) in enumerate(piece):
-                total += left.cost - (0.0 if k == draws else (1.0 - SHARED) * cost * left.realisations)
+            (_, first), *others = sorted(members[start : start + MOST_SHARING], key=lambda one: -one[0])
+            total += first.cost + sum(left.cost - (1.0 - SHARED) * cost * left.realisations for cost, left in others)
     return total
 
 

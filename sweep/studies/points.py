@@ -26,16 +26,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from linksweep.sweep.code import Code, reach_of
-from linksweep.sweep.contract import Experiment, Named, Parameter, SweepError, Value, nearest, number_at, shown, suggest
-from linksweep.sweep.contract.experiment import (
-    LABEL,
-    factor_between,
-    is_quantity,
-    name_problem,
-    needed,
-    refused,
-    rescaled,
-)
+from linksweep.sweep.contract import Experiment, Named, Parameter, SweepError, Value, needed, number_at, shown, suggest
+from linksweep.sweep.contract.experiment import LABEL, factor_between, is_quantity, name_problem, refused, rescaled
 from linksweep.sweep.contract.rows import Array
 from linksweep.sweep.formatting import first_of, is_missing
 from linksweep.sweep.functions.results import unit_of
@@ -161,12 +153,10 @@ class Values:
 
     def _parameter(self, name: str) -> Parameter:
         """Return the declared parameter; raises ValueError, with a hint for what is set in [sampling]."""
-        try:
-            return self.experiment.parameter(name)
-        except ValueError as error:
-            there = f"; it is set in [sampling]: --set {name}=VALUE, in Python sampling={{{name!r}: VALUE}}"
-            near = "" if "did you mean" in str(error) else nearest(name, list(Sampling.model_fields))
-            raise ValueError(f"{error}{there if name in Sampling.model_fields else near}") from error
+        if name in Sampling.model_fields and name not in self.experiment.defaults():
+            there = f"it is set in [sampling]: --set {name}=VALUE, in Python sampling={{{name!r}: VALUE}}"
+            raise ValueError(f"unknown parameter {name!r}; {there}")
+        return self.experiment.parameter(name)
 
     def axis(self, name: str, spec: object) -> tuple[Value, ...] | None:
         """Return the values of an axis, a list or a range of them; None if any is wrong."""
@@ -190,8 +180,12 @@ class Values:
         ``rows``.
         """
         before = len(self.problems.sentences)
-        numbered = enumerate(raw_values, start=1)
-        values = [self.one(place, name, raw, f"row {number}: " if rows else "") for number, raw in numbered]
+        values = []
+        for number, raw in enumerate(raw_values, start=1):
+            values.append(self.one(place, name, raw, f"row {number}: " if rows else ""))
+            if len(self.problems.sentences) >= before + 5:  # of a million values all may be wrong
+                self.problems.add(place, "... and perhaps more values like these")
+                break
         if len(self.problems.sentences) > before:
             return None
         is_any = self.experiment.parameter(name).kind == "any"  # others have numbers of one type
@@ -252,11 +246,12 @@ def require_distinct(values: Sequence[Value], may_repeat: bool = False) -> None:
     """Raise ValueError for what cannot be values of one coordinate: integers that no float equals beside floats, equal
     numbers of two types, and unless values ``may_repeat`` those that do, and numbers that differ by rounding alone.
     """
-    counts = Counter() if may_repeat else Counter((type(value), value) for value in values)
-    if repeated := dict.fromkeys(shown(value) for value in values if counts[type(value), value] > 1):
-        raise ValueError(f"duplicate values {first_of([*repeated], 10)}")
+    if not may_repeat:  # a table may have a million rows
+        counts = Counter((type(value), value) for value in values)
+        if repeated := dict.fromkeys(shown(value) for value in values if counts[type(value), value] > 1):
+            raise ValueError(f"duplicate values {first_of([*repeated], 10)}")
     kinds = {*map(type, values)} & {int, float}
-    if kinds == {int} or (may_repeat and len(kinds) < 2):  # a table may have a million rows
+    if kinds == {int} or (may_repeat and len(kinds) < 2):
         return
     numbers = sorted(value for value in values if type(value) in kinds)
     if inexact := next((value for value in numbers if value != float(value)), None):
