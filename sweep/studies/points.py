@@ -153,9 +153,11 @@ class Values:
 
     def _parameter(self, name: str) -> Parameter:
         """Return the declared parameter; raises ValueError, with a hint for what is set in [sampling]."""
-        if name in Sampling.model_fields and name not in self.experiment.defaults():
-            there = f"it is set in [sampling]: --set {name}=VALUE, in Python sampling={{{name!r}: VALUE}}"
-            raise ValueError(f"unknown parameter {name!r}; {there}")
+        parameters, sampling = self.experiment.defaults(), Sampling.model_fields
+        if name not in parameters:
+            there = f"; it is set in [sampling]: --set {name}=VALUE, in Python sampling={{{name!r}: VALUE}}"
+            hint = there if name in sampling else suggest(name, [*parameters, *sampling])
+            raise ValueError(f"unknown parameter {shown(name)}{hint}")
         return self.experiment.parameter(name)
 
     def axis(self, name: str, spec: object) -> tuple[Value, ...] | None:
