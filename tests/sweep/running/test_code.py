@@ -317,7 +317,11 @@ def test_a_module_is_the_same_code_where_python_executes_it_whatever_it_gathers_
     monkeypatch.chdir(tmp_path)
     for here in ("1", "1", "1 + 1"):
         (tmp_path / "pk" / "__init__.py").write_text(f"import enum\nenum.here = {here}\n")
-        with pytest.raises(linksweep.SweepError, match="its code has changed") if "+" in here else contextlib.nullcontext():
+        with (
+            pytest.raises(linksweep.SweepError, match="its code has changed")
+            if "+" in here
+            else contextlib.nullcontext()
+        ):
             assert runpy.run_module("pk.executed", run_name="__main__", alter_sys=True)["first"] == 18
             assert importlib.import_module("pk.executed").run(4) == 36
         for name in [name for name in sys.modules if name.partition(".")[0] == "pk"]:
