@@ -13,7 +13,7 @@ import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property, partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -167,33 +167,36 @@ class GalaxyCatalogue:
     identifier: Indices
     radius: float
 
+    @cached_property
+    def tree(self) -> KDTree:
+        """The sky tree of the positions."""
+        return sky_tree(self.positions)
 
-def merge_galaxies(catalogues: Sequence[GalaxyCatalogue], trees: Sequence[KDTree]) -> tuple[list[Indices], Indices]:
+
+def merge_galaxies(catalogues: Sequence[GalaxyCatalogue]) -> tuple[list[Indices], Indices]:
     """Return a galaxy's number for every entry of every catalogue, and the identifier of every galaxy (0 for none).
 
     Entries with the same identifier are one galaxy wherever they stand.  Otherwise an entry is the galaxy of an entry
     of an earlier catalogue within the sum of both match radii (so that two entries found at one star are one galaxy),
-    one to one and closest first, unless both have identifiers.  ``trees`` are the catalogues' sky trees.  Raises
-    ValueError as `pairs_within`.
+    one to one and closest first, unless both have identifiers.  Raises ValueError as `pairs_within`.
     """
     labels: list[Indices] = []
     known = np.empty(0, dtype=np.int64)  # identifier of each galaxy so far
-    for catalogue, tree in zip(catalogues, trees, strict=True):
+    for catalogue in catalogues:
         identifier, where = catalogue.identifier, catalogue.positions
         label = _label_by_identifier(identifier, known)
         # entries of one identifier count as one
         names, _ = pd.factorize(np.where(identifier > 0, identifier, -1 - np.arange(len(identifier))))
         links = []
-        for earlier, earlier_tree, earlier_label in zip(catalogues, trees, labels, strict=False):
-            at, entry, offset = pairs_within(earlier_tree, tree, earlier.radius + catalogue.radius)
-            there = earlier.positions.take(at)
-            columns = {"offset": offset, "dec": there.dec, "ra": there.ra, "galaxy": earlier_label[at], "entry": entry}
-            links.append(pd.DataFrame(columns))
+        for earlier, earlier_label in zip(catalogues, labels, strict=False):
+            at, entry, offset = pairs_within(earlier.tree, catalogue.tree, earlier.radius + catalogue.radius)
+            galaxy, there, here = earlier_label[at], earlier.positions.take(at), where.take(entry)
+            columns = {"offset": offset, "dec": there.dec, "ra": there.ra, "entry_dec": here.dec, "entry_ra": here.ra}
+            numbers = {"galaxy": galaxy, "entry": entry, "known": known[galaxy], "mine": identifier[entry]}
+            links.append(pd.DataFrame(columns).assign(name=names[entry], **numbers))
         if links:
             link = pd.concat(links)
             galaxy, entry = link["galaxy"].to_numpy(), link["entry"].to_numpy()
-            link = link.assign(name=names[entry], known=known[galaxy], mine=identifier[entry])
-            link = link.assign(entry_dec=where.dec[entry], entry_ra=where.ra[entry])
             # neither side is linked yet, and at most one has an identifier
             free = ~np.isin(galaxy, label) & (label[entry] < 0) & ((link["known"] == 0) | (link["mine"] == 0))
             # the place of a row decides nothing
@@ -251,9 +254,9 @@ def cross_match(
     The result does not depend on the order of rows: pairs at equal offset are ordered by the place of their
     catalogue, then by position and identifier.  Raises ValueError as `pairs_within`.
     """
-    star_tree, trees = sky_tree(stars), [sky_tree(catalogue.positions) for catalogue in catalogues]
-    within = [pairs_within(star_tree, tree, c.radius) for tree, c in zip(trees, catalogues, strict=True)]
-    labels, identifiers = merge_galaxies(catalogues, trees)
+    star_tree = sky_tree(stars)
+    within = [pairs_within(star_tree, catalogue.tree, catalogue.radius) for catalogue in catalogues]
+    labels, identifiers = merge_galaxies(catalogues)
     each = []
     for place, ((star, entry, offset), label, catalogue) in enumerate(zip(within, labels, catalogues, strict=True)):
         galaxy, (ra, dec, ra_error, dec_error) = label[entry], catalogue.positions.take(entry)
@@ -283,10 +286,8 @@ def cross_match(
     inside = pairs.merge(match, on=["star", "galaxy"])
     found_in = np.zeros((len(table), len(catalogues)), dtype=bool)
     found_in[inside["match"], inside["catalogue"]] = True
-    chance = tuple(
-        {"pairs": len(near[0])} | chance_pairs(star_tree, tree, c.radius)
-        for tree, c, near in zip(trees, catalogues, within, strict=True)
-    )
+    counted = zip(catalogues, within, strict=True)
+    chance = tuple({"pairs": len(near[0])} | chance_pairs(star_tree, c.tree, c.radius) for c, near in counted)
     columns = {"d_ra": d_ra, "d_dec": d_dec, "n_sigma": n_sigma, "n_near": n_near, "class": np.array(CLASSES)[code]}
     table = table.assign(**columns).reset_index(drop=True)
     return Matches(table, found_in, reasons, chance, len(identifiers))

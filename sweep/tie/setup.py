@@ -196,7 +196,7 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
     n = len(left.astrometry)
     if len(without := np.flatnonzero(~np.isfinite(left.astrometry.values[:2]).all(axis=0))):
         raise SweepError(f"each source needs a position, and there is none in {named_rows(without)}", left.path)
-    notes, epochs = left.named_notes(), None
+    notes, epochs = [*left.notes], None
     if options.epochs:
         observed = list(dict(options.epochs).values())
         left, epochs = files.with_observations(left, observed, dict(options.star_models), options.orbits)
@@ -217,7 +217,7 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
             matched = match(left, table, options.by or None)
             rows = _taken(table.astrometry, matched.rows)
             far = far_rows(left, table, matched)
-            notes += [*table.named_notes(), *match_notes(left, table, matched, rows), *far]
+            notes += [*table.notes, *match_notes(left, table, matched, rows), *far]
         rows = replace(core.of_five(rows), frame=np.broadcast_to(frame, len(rows)))
         rows = rows if frame else quasars_at_rest(left.astrometry, rows, matched.source, options.aberration)
         tables[name] = table

@@ -141,10 +141,6 @@ class AstrometricTable:
         """The names of the rows (N,): those of the first column of names, else numbers from 1."""
         return next(iter(self.names.values()), np.arange(1, len(self.astrometry) + 1).astype(np.str_))
 
-    def named_notes(self) -> list[str]:
-        """Return the notes with the name of the file."""
-        return [f"{Path(self.path).name}: {note}" for note in self.notes]
-
 
 def read_table(path: Path, options: TableOptions | None = None) -> AstrometricTable:
     """Return the astrometry of a file, or of a built-in table by name (icrf2, icrf3, psrpi ...).
@@ -160,9 +156,10 @@ def read_table(path: Path, options: TableOptions | None = None) -> AstrometricTa
         notes.append(f"where {options.where!r} keeps {np.count_nonzero(kept)} of {len(kept)} rows")
         table, where = table[kept], f"{path}, the {np.count_nonzero(kept)} rows that {options.where!r} keeps"
     read = astrometric_table(table, where, digest_of(path), options)
-    if path.resolve().parent == _BUILT_IN:
-        return replace(read, columns="", notes=notes)  # ours are as they were published
-    return replace(read, path=str(path), notes=[*notes, *read.notes, *_usual_choices(table, options)])
+    ours = path.resolve().parent == _BUILT_IN  # which are as they were published
+    notes += [] if ours else [*read.notes, *_usual_choices(table, options)]
+    columns = "" if ours else read.columns
+    return replace(read, path=str(path), columns=columns, notes=[f"{path.name}: {note}" for note in notes])
 
 
 def as_read(link: Mapping[str, Any], table: Any, digest: str, asked: ApplyOptions) -> TableOptions:

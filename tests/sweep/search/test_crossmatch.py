@@ -119,8 +119,7 @@ def test_nothing_is_matched_twice_and_the_order_of_rows_does_not_matter(a, b, c,
 @pytest.mark.parametrize(("catalogues", "labels", "identifiers"), MERGED)
 def test_entries_of_several_catalogues_are_one_galaxy(catalogues, labels, identifiers):
     listed = [catalogue(positions(ra, np.zeros(len(ra))), radius, names) for ra, radius, names in catalogues]
-    trees = [sky_tree(one.positions) for one in listed]
-    found, names = crossmatch.merge_galaxies(listed, trees)
+    found, names = crossmatch.merge_galaxies(listed)
     assert ([label.tolist() for label in found], names.tolist()) == (labels, identifiers)
 
 
