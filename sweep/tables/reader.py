@@ -144,9 +144,10 @@ def _text(path: Path, content: bytes, texts: Collection[str]) -> Any:
         return _by_astropy("ascii.mrt", text.splitlines())
     if re.search(r"^ICRF J", text[:20_000], re.MULTILINE):
         return _icrf(text)
-    if (readme := readme_of(path)) is not None:
-        return _cds(path, text, readme)
-    return _hipparcos(text) if _HIP2.match(text) else _delimited(text, texts)
+    if _HIP2.match(text):  # astropy cannot read the fifteen numbers that are one column in its ReadMe
+        return _hipparcos(text)
+    readme = readme_of(path)
+    return _delimited(text, texts) if readme is None else _cds(path, text, readme)
 
 
 def _require_one(tables: Sequence[str]) -> None:
@@ -244,8 +245,7 @@ def _rows(body: bytes, names: Sequence[str], delimiter: str, texts: Collection[s
     """
     import pandas as pd
 
-    if body.startswith(b"#") or b"\n#" in body:
-        body = b"\n".join(line for line in body.split(b"\n") if not line.startswith(b"#"))
+    body = re.sub(rb"(?m)^#.*\n?", b"", body)
     _check_widths(body, len(names), delimiter)
     try:
         frame = pd.read_csv(
@@ -290,17 +290,12 @@ def from_frame(frame: Any) -> Any:
 
 
 def _check_widths(body: bytes, n_columns: int, delimiter: str) -> None:
-    """Raise ValueError for the first row that has another number of columns than there are names."""
-    if delimiter == " ":
-        counts = (len(line.split()) for line in body.split(b"\n") if line.strip())
-    elif b'"' in body:
-        counts = (len(row) for row in csv.reader(io.StringIO(body.decode()), delimiter=delimiter) if row)
-    else:
-        mark = delimiter.encode()
-        counts = (line.count(mark) + 1 for line in body.split(b"\n") if line and not line.isspace())
-    for row, count in enumerate(counts, start=1):
-        if count != n_columns:  # pandas would fill a short row with gaps
-            raise SweepError(f"row {row} has {count} columns, not {n_columns} as the line of names")
+    """Raise SweepError for the first row that has another number of columns than there are names."""
+    lines = (line for line in io.TextIOWrapper(io.BytesIO(body), "utf-8") if line.strip())
+    rows = map(str.split, lines) if delimiter == " " else csv.reader(lines, delimiter=delimiter)
+    for number, row in enumerate(rows, start=1):
+        if len(row) != n_columns:  # pandas would fill a short row with gaps
+            raise SweepError(f"row {number} has {len(row)} columns, not {n_columns} as the line of names")
 
 
 def _fields(line: str, delimiter: str) -> list[str]:

@@ -78,7 +78,7 @@ def test_sources_within_the_radius_and_leftovers_are_named(tmp_path):
     assert said(link, "1 of 11 rows of other.ecsv match no source: S11")
 
 
-def test_raw_hip2_is_recognised_without_its_readme(tmp_path):
+def test_raw_hip2_is_recognised_with_and_without_its_readme(tmp_path):
     rng = np.random.default_rng(4)
     made, wanted = stars(8), random_correlations(rng, 8)
     matrix = replace(made, errors=np.ones((5, 8)), correlations=wanted).covariance()[:, :5, :5]
@@ -97,6 +97,13 @@ def test_raw_hip2_is_recognised_without_its_readme(tmp_path):
     np.testing.assert_allclose(read.astrometry.correlations, wanted, atol=2e-3)
     assert set(read.astrometry.epoch) == {1991.25}
     assert next(iter(read.names.values())).tolist() == [str(k + 1) for k in range(8)]
+    rule, form = "-" * 80, "   1-  6  I6    ---      HIP     Identifier\n 172-276 15F7.2 ---      UW      Weights"
+    units = "   Bytes Format Units    Label   Explanations"
+    readme = ["Byte-by-byte Description of file: hip2.dat", rule, units, rule, form, rule]
+    (tmp_path / "ReadMe").write_text("\n".join(readme) + "\n")
+    np.testing.assert_array_equal(
+        read_table(tmp_path / "hip2.dat").astrometry.correlations, read.astrometry.correlations
+    )
     (tmp_path / "cut.dat").write_text("\n".join([*lines[:2], lines[2][:200], *lines[3:]]))
     with pytest.raises(linksweep.SweepError, match="no such row in line 3"):
         read_table(tmp_path / "cut.dat")
