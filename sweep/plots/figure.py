@@ -117,8 +117,6 @@ def _study_figure(dataset: xr.Dataset, kind: str | None, variables: list[str], o
     only_samples = one_point and not variables and not any(name in dataset.coords for name in over)
     if sampled(dataset) is not None and (kind == "scatter" or (kind is None and only_samples)):
         return _draw(dataset.squeeze(single), "scatter", variables, over)
-    if (dataset["status"].values == Status.EXCLUDED).all():
-        raise SweepError("the study has no point there")
     names = variables or [quantity.main_quantity(dataset)]
     for name in names:
         quantity.require_quantity(dataset, name)
@@ -582,7 +580,7 @@ def law_figure(dataset: xr.Dataset, variables: list[str], along: Sequence[str]) 
     figure, (upper, lower) = style.new_figure(6.4, 5.2, 2, sharex=True, height_ratios=(3, 1))
     for (words, mark, _), line in zip(drawn, lines, strict=True):
         x, y, fine = line.x, line.y, np.geomspace(line.x.min(), line.x.max(), 100)
-        error = np.nan_to_num(line.errors if line.errors.ndim == 1 else np.sqrt(np.diag(line.errors)))
+        error = np.nan_to_num(line.sigmas())
         law = {str(name): array.item() for name, array in result.isel(line.index).data_vars.items()}
         curve, there = (law["amplitude"] * (at / law["pivot"]) ** law["exponent"] for at in (fine, x))
         spread = law["amplitude_error"] / law["amplitude"]
