@@ -279,7 +279,7 @@ def draw_panels(
     Panels that would be empty are left out.  Those along ``far`` have axes and units of their own.  If the figure is
     too narrow for the columns, they continue in further rows.
     """
-    has_axis = dataset[variables[0]].size > 1 == len(draws)  # that panels share: of one value the x axis is its own
+    has_axis = len(draws) == 1 and dataset[variables[0]].size > 1  # that panels share: of one value it is its own
     counts = [*(dataset.sizes[d] for d in dimensions), *(len(some) for some in (variables, draws) if len(some) > 1)]
     every = ((panel, draw) for panel in _panels(dataset, variables, dimensions, far) for draw in draws)
     panels = list(islice(every, MOST_PANELS + 1))
