@@ -385,7 +385,7 @@ def _study(study: str | Path | Mapping[str, Any] | Study | Callable[..., Any], o
 def _watching(study: Study, progress: watching.Progress | None) -> AbstractContextManager[watching.Progress]:
     """Return the object that is notified of a run's progress: that which is passed, or a bar where somebody sees it."""
     if progress is not None:
-        return nullcontext(progress)
+        return nullcontext(progress or watching.SILENT)  # False shows none
     if Console().is_jupyter:
         return watching.NotebookProgress(study, bar=False)
     if sys.stderr is not None and sys.stderr.isatty():
