@@ -319,7 +319,8 @@ TASKS_PER_S = 200.0
 # Shorter tasks would cost more to hand over than they gain by spreading the work.
 SHORTEST_TASK_S = 0.05
 
-# Weight of all earlier results in the measured speed when one more comes in: later points may be slower.
+# Weight of all earlier results in the measured speed when one more comes in: later points may be slower, and first
+# calls in a process may have imported for seconds.
 KEPT = 0.7
 
 
@@ -384,7 +385,6 @@ class Pending:
         self._added: deque[Work] = deque()
         self._fresh = self._in_turns()
         self._left = accumulator.survey.pending.cost
-        self._warm = False
         self._tasks_out = 0
         self._measured_cost = self._measured_s = 0.0
 
@@ -403,9 +403,8 @@ class Pending:
             self._tasks_out += 1
         return tasks
 
-    def settle(self, works: Sequence[Work], seconds: Array, cold: bool = False) -> list[Work]:
-        """Note the ``seconds``, (rows,), that each point of each block of a task took, the first of them perhaps for
-        imports if it was ``cold``; return the computed blocks.
+    def settle(self, works: Sequence[Work], seconds: Array) -> list[Work]:
+        """Note the ``seconds``, (rows,), that each point of each block of a task took; return the computed blocks.
 
         There may be fewer seconds than points: a worker stops where a task takes too long.  The rest is pending again.
         """
@@ -415,14 +414,8 @@ class Pending:
             self._known.appendleft(work)
             self._left += work.cost
         self._tasks_out = max(0, self._tasks_out - 1)
-        usual = works[int(cold) : done]
-        if usual or not self._warm:
-            # A first call in a process may have imported for seconds: it tells nothing beside others.
-            kept = KEPT if self._warm or not usual else 0.0
-            skipped = rows[0] if cold and usual else 0
-            self._warm |= bool(usual)
-            self._measured_cost = kept * self._measured_cost + sum(work.cost for work in usual or works[:done])
-            self._measured_s = kept * self._measured_s + float(seconds[skipped:].sum())
+        self._measured_cost = KEPT * self._measured_cost + sum(work.cost for work in works[:done])
+        self._measured_s = KEPT * self._measured_s + float(seconds.sum())
         return list(works[:done])
 
     def _task(self, most_blocks: int) -> list[Work]:

@@ -123,8 +123,7 @@ def united(stored: Study, asked: Study, in_ledger: Collection[bytes] = (), *, is
     )
     result = replace(result, counts=_counts(theirs, places, mine, result, in_ledger))
     is_same = result.digest() == asked.digest()
-    is_labelled_alike = str(result.points and result.points.labels) == str(asked.points and asked.points.labels)
-    if is_same and is_labelled_alike and [*result.dimensions] == [*asked.dimensions]:
+    if is_same and [*result.dimensions] == [*asked.dimensions]:
         return asked
     overrides = asked.overrides if is_same or EARLIER in asked.overrides else (*asked.overrides, EARLIER)
     conclusion = asked.conclusion if axes.keys() == asked.axes.keys() else None

@@ -782,7 +782,7 @@ class Session:
             for batch, result in results:
                 if result.refused:
                     raise _RefusedError(f"{result.refused}.")
-                works = writer.pending.settle(batch.works, result.seconds, result.cold)
+                works = writer.pending.settle(batch.works, result.seconds)
                 with postponed():  # so that an interruption leaves nothing taken that was not told
                     taken = writer.take(works, result)
                     progress.advance(works, result, taken)

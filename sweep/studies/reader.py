@@ -113,7 +113,7 @@ class Overrides:
         The conclusion is removed where the points change, or parameters that the study fixes: it is about these.
         """
         points, axes = (table if isinstance(table := document.get(key), dict) else {} for key in ("points", "axes"))
-        axes_before, other = set(axes), {"axes": "fixed", "fixed": "axes"}
+        other = {"axes": "fixed", "fixed": "axes"}
         written = self.written or ()
         flags = {flag for flag, _ in written}
         if flags & {"--points", "--design"}:
@@ -134,7 +134,7 @@ class Overrides:
                 self.by_place[place] = option
                 if flag in ("--points", "--design", "--range"):  # the table is theirs
                     self.by_place.setdefault(("points",), option)
-                if place[0] in ("points", "fixed", "exclude") or (place[0] == "axes" and place[1] not in axes_before):
+                if place[0] in ("points", "fixed", "exclude") or (place[0] == "axes" and place[1] not in axes):
                     document.pop("conclusion", None)
                 # an option decides whether a parameter is an axis or fixed, whatever the file says
                 if isinstance(elsewhere := document.get(other.get(str(place[0]), "")), dict):
