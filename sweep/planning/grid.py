@@ -140,10 +140,9 @@ class Grid:
         designed = self.study.points is not None and "design" in self.study.points.origin
         order, bit = np.zeros(len(indices), dtype=np.int64), 0
         bits = [(length - 1).bit_length() for length in self.shape]
-        places_along = [np.array(places, dtype=np.int64) for places in self._places(indices)]
-        along = [*zip(self.dimensions, places_along, bits, strict=True)]
+        along = {dimension: np.array(some, dtype=np.int64) for dimension, some in self.places(indices).items()}
         for level in range(max(bits, default=0)):
-            for dimension, places, most in along:
+            for (dimension, places), most in zip(along.items(), bits, strict=True):
                 if level < most:
                     shift = level if designed and dimension == POINT else most - 1 - level
                     order |= ((places >> shift) & 1) << bit
@@ -166,8 +165,8 @@ class Grid:
         """Yield the parameters of points, None for those without effect or at the place for these, the names of those
         without effect, and whether the study has the point: neither excludes it nor has it at another place.
         """
-        places = zip(self.rows.values(), self._places(indices), strict=True)
-        along = [map(rows.__getitem__, numbers) for rows, numbers in places]  # the values, point by point
+        # the values, point by point
+        along = [map(self.rows[name].__getitem__, numbers) for name, numbers in self.places(indices).items()]
         for _, *combination in zip(indices.tolist(), *along, strict=True):
             parameters = self._fixed.copy()
             parameters.update(zip(self._names, itertools.chain.from_iterable(combination), strict=True))
@@ -201,7 +200,7 @@ class Grid:
         Parameters at their default do not count, so that the digests of old points stay the same when a later version
         adds a parameter.
         """
-        places = dict(zip(self.dimensions, self._places(indices), strict=True))
+        places = self.places(indices)
         known = [entry for entry in self._texts_along if entry[0] not in left_out]
         gone = [missing for _, missing, _ in self._raw(indices)] if self.study.when else []
         texts = list[Iterable[str | None]]()
@@ -232,9 +231,10 @@ class Grid:
                 entries.append((name, dimension_of.get(name), along))
         return entries
 
-    def _places(self, indices: NDArray[np.intp]) -> list[list[int]]:
+    def places(self, indices: NDArray[np.intp]) -> dict[str, list[int]]:
         """Return where along each dimension the points at ``indices`` are."""
-        return [along.tolist() for along in np.unravel_index(indices, self.shape)] if self.shape else []
+        along = np.unravel_index(indices, self.shape) if self.shape else ()
+        return {name: numbers.tolist() for name, numbers in zip(self.dimensions, along, strict=True)}
 
     def excludes(self, parameters: Mapping[str, Any], gone: Collection[str] | None = None) -> bool:
         """Return whether the study leaves out a point with these parameters, of which some have no effect (``gone``) if

@@ -70,8 +70,7 @@ def united(stored: Study, asked: Study, in_ledger: Collection[bytes] = (), *, is
         places = places[np.array([digest in in_ledger for digest in theirs.digests(places)], dtype=bool)]
     if not len(places):
         return asked
-    along = np.unravel_index(theirs.repeated(places), theirs.shape) if theirs.shape else ()
-    kept = {name: np.unique(numbers) for name, numbers in zip(theirs.dimensions, along, strict=True)}
+    kept = {name: np.unique(numbers) for name, numbers in theirs.places(theirs.repeated(places)).items()}
     there = [(axes, theirs.rows[name][number]) for name, axes in theirs.dimensions.items() for number in kept[name]]
     for name, value in [pair for axes, row in there for pair in zip(axes, row, strict=True)] + list(was.items()):
         if isinstance(value, Named) and defined.get((name, value.name), value) != value:
@@ -186,14 +185,14 @@ def _labels_by_row(
     points = grid.study.points
     if points is not None and {*names} <= {*points.names}:  # also rows without points, as yet
         rows = [*zip(*(grid.study.axes[name] for name in names), strict=True)]
-        along = np.arange(len(rows))
+        along: Sequence[int] = range(len(rows))
     else:
         rows = [tuple({**constants, **p.parameters}[name] for name in names) for p in grid.points(places)]
-        along = np.unravel_index(places, grid.shape)[[*grid.dimensions].index(POINT)] if points else places
+        along = grid.places(places)[POINT] if points else places.tolist()
     labels, may_lack = (points.labels.items(), UNITED in points.origin) if points else ((), False)
     return {
         key: {name: cells[k] for name, cells in labels if not (may_lack and _is_blank(cells[k]))}
-        for key, k in zip(_keys(rows), along.tolist(), strict=True)
+        for key, k in zip(_keys(rows), along, strict=True)
     }
 
 

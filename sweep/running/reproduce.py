@@ -129,8 +129,7 @@ def verify(study: Study, where: Where, number: int) -> tuple[int, list[str], lis
 
 
 def _at(dataset: xr.Dataset, grid: Grid, point: GridPoint) -> xr.Dataset:
-    places = np.unravel_index(point.index, grid.shape) if grid.shape else ()
-    return dataset.isel(dict(zip(grid.dimensions, map(int, places), strict=True)))
+    return dataset.isel({name: place for name, (place,) in grid.places(np.array([point.index])).items()})
 
 
 def _alone(study: Study, point: GridPoint, compute: Callable[[Task], TaskResult]) -> tuple[xr.Dataset, str]:
