@@ -447,11 +447,6 @@ class RadioStars(CatalogueKind):
         sigma = np.stack([none, none, pmra_error, pmdec_error], axis=1) * MAS
         return Catalogue(ra * DEGREE, dec * DEGREE, pmra * MAS, pmdec * MAS, v_mag, OwnErrors(sigma))
 
-    def problem(self, point: Point) -> str | None:
-        """Return a problem if there are limits: all stars are drawn from, whatever their magnitudes."""
-        limits = [name for name in ("v_max", "v_min") if point[name] is not None]
-        return f"{limits[0]}: the radio stars have no limiting magnitude, all are drawn from" if limits else None
-
 
 OBSERVABLES = ("ra", "dec", "pmra", "pmdec")
 CORRELATIONS = {f"{a}_{b}_corr": (i, j) for i, a in enumerate(OBSERVABLES) for j, b in enumerate(OBSERVABLES) if i < j}

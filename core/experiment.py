@@ -58,11 +58,8 @@ def check(point: Point) -> str | None:
 
 def _catalogue_problem(point: Point) -> str | None:
     kind = setup.catalogue_kind(point)
-    uses = kind.uses(point)
-    if (point["file"] is not None) != ("file" in uses):
+    if (point["file"] is not None) != isinstance(kind, File):
         return "file: catalogue = 'file' needs a file, and other catalogues have none"
-    if not uses >= RANDOM_SKY and (point["zone_of_avoidance"] > 0.0 or point["sky_contrast"] != 0.0):
-        return "zone_of_avoidance and sky_contrast are for random positions (positions = 'isotropic')"
     if problem := kind.problem(point):
         return problem
     if point["solve_glide"] and (size := kind.size(point)) < SMALLEST_GLIDE:

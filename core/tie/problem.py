@@ -64,23 +64,15 @@ class NormalSums:
         """Return the sums of some sources."""
         # indexing with row numbers takes several times longer than np.take
         if isinstance(part, slice) or part.dtype == np.bool_:
-            return self._mapped(lambda array: array[part])
-        return self._mapped(lambda array: np.take(array, part, axis=0))
+            return self.mapped(lambda array: array[part])
+        return self.mapped(lambda array: np.take(array, part, axis=0))
 
     def scaled(self, factors: Array | Flags) -> Self:
         """Return the same with the weight of each source multiplied by a factor (G,)."""
-        weighted = self._mapped(lambda array: array * factors.reshape(-1, *[1] * (array.ndim - 1)))
+        weighted = self.mapped(lambda array: array * factors.reshape(-1, *[1] * (array.ndim - 1)))
         return replace(weighted, count=self.count, spread=self.right_covariance * factors[:, None, None] ** 2)
 
-    def plus(self, other: Self) -> Self:
-        """Return the sums of both, group by group."""
-        return self._mapped(np.add, other)
-
-    def followed_by(self, other: Self) -> Self:
-        """Return the groups of both, one after the other."""
-        return self._mapped(lambda one, two: np.concatenate([one, two]), other)
-
-    def _mapped(self, each: Callable[..., Array], *others: Self) -> Self:
+    def mapped(self, each: Callable[..., Array], *others: Self) -> Self:
         """Return a function of every array of these sums and of others."""
         sums = (self, *others)
         names = ("normal", "right", "squares", "count", "expected")
@@ -570,16 +562,6 @@ def discrepancies(sums: NormalSums, estimate: Array) -> Array:
     return np.asarray(np.maximum(sums.squares - 2.0 * sums.right @ estimate + quadratic, 0.0))
 
 
-def expected_discrepancies(sums: NormalSums, solution: Solution, factors: Array | Flags | None = None) -> Array:
-    """Return what Q_i is on average: n_i - tr(N^-1 N_i), where the weights are the best; shape (S,).
-
-    ``factors`` (S,) are those of the weights in the solution: a source that is left out has no part in it.
-    """
-    part = np.einsum("kl,slk->s", solution.inverse, sums.right_covariance) * (1.0 if factors is None else factors)
-    shift = np.einsum("kl,slk->s", solution.covariance, sums.normal)
-    return np.asarray(sums.expected - 2.0 * part + shift)
-
-
 def shares(sums: NormalSums, solution: Solution, unknowns: Unknowns) -> Array:
     """Return the share of each source in the weight of each block; shape (S, blocks).  They add up to 1 over all."""
     share = np.zeros((len(sums), len(unknowns.blocks)))
@@ -614,7 +596,10 @@ def influence(sums: NormalSums, solution: Solution, unknowns: Unknowns, factors:
     share[kept] = shares(used, solution, unknowns)
     step = without - solution.estimate
     cook = np.einsum("sk,kl,sl->s", step, solution.normal, step) / k
-    return Influence(expected_discrepancies(sums, solution, factors), without, cook, share)
+    # n_i - tr(N^-1 N_i) where the weights are the best; a source that is left out has no part in the solution
+    part = np.einsum("kl,slk->s", solution.inverse, sums.right_covariance) * factors
+    shift = np.einsum("kl,slk->s", solution.covariance, sums.normal)
+    return Influence(sums.expected - 2.0 * part + shift, without, cook, share)
 
 
 def leave_one_out(sums: NormalSums, normal: Array, right: Array) -> Array:
@@ -747,7 +732,7 @@ class StreamedSources:
             parts = (factors[low:high] for low, high in pairwise([*self.firsts, self.n_sources]))
             each = [None if np.all(part == 1.0) else part for part in parts]
             pieces = ((problem, _cell_sums, part) for problem, part in zip(self.problems, each, strict=True))
-            sums = reduce(NormalSums.plus, self.run(computed, pieces))
+            sums = reduce(lambda one, other: one.mapped(np.add, other), self.run(computed, pieces))
             self._last[:] = [(factors.copy(), sums.taken(sums.count > 0))]
         return self._last[0][1]
 
@@ -758,7 +743,7 @@ class StreamedSources:
             sizes, places = np.concatenate([sizes, size]), np.concatenate([places, first + place])
             order = np.argsort(-sizes, kind="stable")[:number]
             sizes, places = sizes[order], places[order]
-            sums = one if sums is None else sums.followed_by(one).taken(order)
+            sums = one if sums is None else sums.mapped(lambda *both: np.concatenate(both), one).taken(order)
         assert sums is not None, "a table has rows"
         return places, sums
 
