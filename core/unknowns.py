@@ -94,14 +94,9 @@ def _xyz(name: str) -> tuple[str, ...]:
     return tuple(f"{name}_{axis}" for axis in "xyz")
 
 
-def spin_block() -> Block:
-    """Return the spin: the motions, reference - satellite, are those of a rotation."""
-    return Block("spin", _xyz("omega"), MOTION, True, rotation)
-
-
-def glide_block() -> Block:
-    """Return the glide of the motions."""
-    return Block("glide", _xyz("glide"), MOTION, True, flow)
+# The motions, reference - satellite, are those of a rotation, and those of a flow.
+SPIN_BLOCK = Block("spin", _xyz("omega"), MOTION, True, rotation)
+GLIDE_BLOCK = Block("glide", _xyz("glide"), MOTION, True, flow)
 
 
 @dataclass(frozen=True)
@@ -177,7 +172,7 @@ def spin_by_bin(column: str, edges: tuple[float, ...], used: tuple[int, ...]) ->
     """Return the spins of some of the bins that edges make."""
     limits = list(pairwise((-np.inf, *edges, np.inf)))
     bins = tuple(limits[b] for b in used)
-    labels = tuple(f"{label}[{low:g},{high:g})" for low, high in bins for label in spin_block().labels)
+    labels = tuple(f"{label}[{low:g},{high:g})" for low, high in bins for label in SPIN_BLOCK.labels)
     return SpinByBin("spin", labels, MOTION, True, partial(_in_bins, column, edges, used), column, edges, used, bins)
 
 
@@ -274,12 +269,12 @@ def link_unknowns(with_glide: bool = False, corrections: bool = True) -> Unknown
     """
     rows, derivatives = ((*POSITION, *MOTION), turn) if corrections else (POSITION, rotation)
     orientation = Block("orientation", _xyz("epsilon"), rows, False, derivatives)
-    return Unknowns((orientation, spin_block(), *([glide_block()] if with_glide else [])))
+    return Unknowns((orientation, SPIN_BLOCK, *([GLIDE_BLOCK] if with_glide else [])))
 
 
 # The unknowns that are always solved for, in their order.
 LABELS = link_unknowns().labels
-GLIDE_LABELS = glide_block().labels
+GLIDE_LABELS = GLIDE_BLOCK.labels
 ALWAYS = slice(0, len(LABELS))
 # Where the blocks stand among the unknowns.
 ORIENTATION, SPIN, GLIDE = (link_unknowns(with_glide=True).part(name) for name in link_unknowns(with_glide=True).names)
@@ -305,8 +300,8 @@ class Asked(NamedTuple):
 KNOWN: dict[str, Callable[[Asked], Block]] = {
     "orientation": lambda asked: link_unknowns().blocks[0],
     "position_glide": lambda asked: Block("position_glide", _xyz("position_glide"), POSITION, False, flow),
-    "spin": lambda asked: spin_block() if asked.bins is None else _spin_by_bin(*asked.bins, asked.columns),
-    "glide": lambda asked: glide_block(),
+    "spin": lambda asked: SPIN_BLOCK if asked.bins is None else _spin_by_bin(*asked.bins, asked.columns),
+    "glide": lambda asked: GLIDE_BLOCK,
     "parallax": lambda asked: Block("parallax", ("parallax_zero_point",), (PARALLAX,), False, constant),
     "vsh_position:L": lambda asked: _harmonics(asked, "orientation", "position_glide", POSITION),
     "vsh_motion:L": lambda asked: _harmonics(asked, "spin", "glide", MOTION),

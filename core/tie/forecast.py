@@ -50,9 +50,6 @@ def release_of(epochs: Array, new: str, named: str | None = None) -> str:
     ``named`` is a release for epochs that are those of none; with it, ``new`` may also be an earlier release.  Raises
     ValueError where errors would be scaled twice or, without ``named``, backwards.
     """
-    for name in (named or new, new):
-        if name not in RELEASES:
-            raise ValueError(f"no release {name!r}; there are {', '.join(RELEASES)}")
     known, at = np.unique(epochs[np.isfinite(epochs)]), releases_at(epochs) or [str(named)] * bool(named)
     if len(at) != 1 or named not in (None, *at):
         span = " to ".join(dict.fromkeys(f"{epoch:.10g}" for epoch in (*known[:1], *known[-1:]))) or "none"

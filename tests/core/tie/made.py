@@ -9,7 +9,7 @@ from astropy.table import Table
 from linksweep.core.frames import ARCSEC, DEGREE, MAS, satellite_catalogue
 from linksweep.core.tie.astrometry import PAIRS, Astrometry, by_errors, joined, parallax_factors, propagated
 from linksweep.core.tie.problem import Problem
-from linksweep.core.unknowns import Objects, parse_unknowns, spin_block
+from linksweep.core.unknowns import SPIN_BLOCK, Objects, parse_unknowns
 from linksweep.sweep.cli import main
 
 NAMES = ("ra", "dec", "parallax", "pmra", "pmdec")

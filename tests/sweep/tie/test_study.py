@@ -14,7 +14,7 @@ from linksweep.sweep.cli import main
 from linksweep.sweep.studies.reader import study_from_dict
 from linksweep.sweep.tie import experiment
 from linksweep.sweep.tie.experiment import FIELDS, check, design_of, tie
-from tests.core.tie.made import MAS, POSITION, Objects, gaia, gaia_table, noise, only, parse_unknowns, spin_block, stars
+from tests.core.tie.made import MAS, POSITION, SPIN_BLOCK, Objects, gaia, gaia_table, noise, only, parse_unknowns, stars
 from tests.tiers import slow
 
 TIE = "linksweep.sweep.tie.experiment:tie"
@@ -104,7 +104,7 @@ def quasar_study(tmp_path, n=400, **changes):
     spins = {False: np.array([0.05, 0.0, -0.03]), True: np.array([-0.02, 0.06, 0.01])}
     objects = Objects(made.values[0], made.values[1], np.zeros(n), np.zeros(n))
     field = parse_unknowns("vsh_motion:2-2").derivatives(objects)[1][0] * 0.5 * MAS  # t_2_0
-    turned = spin_block().derivatives(objects)
+    turned = SPIN_BLOCK.derivatives(objects)
     motion = -field - np.array([spins[bool(g > 17.0)] @ turned[:, :, i] for i, g in enumerate(magnitude)]).T * MAS
     values = np.concatenate([made.values[:3], motion])
     path = gaia(tmp_path / "quasars.ecsv", replace(made, values=values), phot_g_mean_mag=magnitude)
