@@ -136,15 +136,15 @@ class Lines:
         return units.pop() if len(units) == 1 else ""
 
     def thresholds(self, limit: "Limit") -> dict[str, float]:
-        """Return the number of a limit in each unit of the lines, without those of another kind.
+        """Return the number of a limit in each unit of the lines, NaN in those of another kind.
 
         Raises SweepError where all are of another kind.
         """
-        numbers = dict[str, float]()
-        for unit in dict.fromkeys(line.unit for line in self.lines):
-            with suppress(SweepError):  # components of another kind are left out
-                numbers[unit] = limit.number_in(unit)
-        return numbers or {self.lines[0].unit: limit.number_in(self.lines[0].unit)}
+        numbers = {unit: limit.number_in(unit) for unit in dict.fromkeys(line.unit for line in self.lines)}
+        if np.isnan([*numbers.values()]).all():
+            unit = self.lines[0].unit or "no unit"
+            raise SweepError(f"{limit.variable} is in {unit}, not convertible to {limit.unit}")
+        return numbers
 
     def place(self, line: Line) -> dict[str, Any]:
         """Return the coordinates of a line by name, those of dimensions first."""
@@ -437,12 +437,9 @@ class Limit:
     unit: str = ""
 
     def number_in(self, unit: str) -> float:
-        """Return the number in a unit; raises SweepError if it cannot be converted."""
-        if not self.unit:
-            return self.number
-        if (factor := factor_between(self.unit, unit)) is None:  # of another kind, or none that astropy knows
-            raise SweepError(f"{self.variable} is in {unit or 'no unit'}, not convertible to {self.unit}")
-        return rescaled(self.number, factor)
+        """Return the number in a unit; NaN if that is of another kind, or none that astropy knows."""
+        factor = factor_between(self.unit, unit) if self.unit else 1.0
+        return math.nan if factor is None else rescaled(self.number, factor)
 
     def is_met(self, values: Array, number: float) -> NDArray[np.bool_]:
         """Return where values meet the condition; ``number`` is the limit in their unit."""
@@ -495,10 +492,10 @@ def find(dataset: xr.Dataset, limit: Limit | str, over: str) -> xr.Dataset:
     limit = parse_limit(limit) if isinstance(limit, str) else limit
     made = lines(dataset, limit.variable, over, least=1)
     thresholds = made.thresholds(limit)
-    rows = [_cross(line, limit, thresholds.get(line.unit, np.nan), made.over_unit) for line in made.lines]
+    rows = [_cross(line, limit, thresholds[line.unit], made.over_unit) for line in made.lines]
     axis = np.unique(quantity.numbers(dataset, over))
     for row, line in zip(rows, made.lines, strict=True):
-        words = _crossing_in_words(row, made.over_unit, line, thresholds.get(line.unit, np.nan))
+        words = _crossing_in_words(row, made.over_unit, line, thresholds[line.unit])
         row["conclusion"] = words + _part_in_words(line.x, axis[np.isfinite(axis)])
     notes = [f"{limit} along {over}; errors: {made.errors}"]
     result = made.dataset(rows, ["conclusion"], notes, result="crossings", condition=str(limit))
@@ -772,20 +769,19 @@ def _relative_covariance(y: Array, errors: Array) -> tuple[Array, bool]:
 def _weigh(covariance: Array, samples: float) -> tuple[Callable[[Array], Array], Array]:
     """Return the function that weights points, and the covariance (n, n) of weighted points.  An exact covariance
     gives all weights, and leaves the unit matrix; one estimated from ``samples`` gives weights by its diagonal only.
-    Raises ValueError for a covariance that is not positive definite, or one from samples with points without error.
+    Raises ValueError for a covariance that is not positive definite.
     """
-    if np.isfinite(samples):
-        sigma = np.sqrt(np.diag(covariance))
-        if not np.all(sigma > 0.0):
-            raise ValueError("the covariance between the points has points without error")
-        return (lambda vector: vector / sigma), covariance / np.outer(sigma, sigma)
     try:
-        root = np.linalg.cholesky(covariance)
+        root = np.sqrt(np.diag(np.diag(covariance))) if np.isfinite(samples) else np.linalg.cholesky(covariance)
     except LinAlgError:
-        root = np.full_like(covariance, np.nan)
-    if not np.all(np.isfinite(root)):  # NaN in is NaN out, without an error
+        root = np.zeros_like(covariance)
+    if not np.isfinite(root).all() or not np.diag(root).all():  # NaN in is NaN out, without an error
         raise ValueError("the covariance between the points is not positive definite")
-    return (lambda vector: np.linalg.solve(root, vector)), np.eye(len(covariance))
+
+    def whiten(values: Array) -> Array:
+        return np.linalg.solve(root, values)
+
+    return whiten, whiten(whiten(covariance).T)
 
 
 def _chi2(residual: Array, design: Array, covariance: Array, relative: Array, samples: float) -> float:

@@ -460,7 +460,8 @@ def indices(dataset: xr.Dataset, places: Mapping[str, Any]) -> dict[str, list[in
                 label = labelled(wanted).name
                 hits = {i for i, value in enumerate(values) if value == label}
         if not hits:  # as tables show it: with fewer digits, say, or as a number beside None, which are both texts
-            hits = {i for i, text in enumerate(texts) if is_meant(read_cell(text, "float"), str(wanted).lower())}
+            said = "none" if str(wanted).lower() == "none" else str(wanted)
+            hits = {i for i, text in enumerate(texts) if is_meant(read_cell(text, "float"), said)}
         if not hits:
             there = first_of([*dict.fromkeys(texts)], FEW)
             problems.append(f"{name} = {wanted} is not in the grid, which has {there}")

@@ -199,7 +199,7 @@ def looked_at(asked: Study, now: Study, rounds: Sequence[Round], goal: Goal, dat
         # Points with common random numbers have most of their errors in common, too.
         errors = np.zeros(len(good)) if common else np.nan_to_num(whole.errors[good], nan=unknown)
         line = replace(whole, x=whole.x[good], y=whole.y[good], errors=errors)
-        level, within = levels.get(line.unit, math.nan), finest * ROUNDING
+        level, within = levels[line.unit], finest * ROUNDING
         at = at_crossings(line, limit.is_met(line.y, level), level, within)
         lacks = list(at if is_find else between_points(line, level, within, made.over_unit, uncut))
         known |= {made.at(line): max(known for known, *_ in lacks)} if lacks else {}

@@ -284,12 +284,11 @@ def _component_tables(dataset: xr.Dataset) -> Iterator[Table]:
 def _derived_table(result: xr.Dataset) -> Table:
     """Return places on the axes, numbers with their errors, and what is concluded."""
     ranks = {str(n): v.attrs["headline"] for n, v in result.data_vars.items() if "headline" in v.attrs}
-    names = sorted(ranks, key=lambda name: ranks[name])
+    names = sorted(ranks, key=ranks.__getitem__)
     names = names or [str(n) for n in result.data_vars if not str(n).endswith("_error")]
     columns, its = [], _columns(result, ())
     for name in quantity.axis_coordinates(result, quantity.axes_of(result)):
-        is_text = any(isinstance(value, str) for value in its[name].values)
-        columns.append(replace(its[name], left=is_text))
+        columns.append(replace(its[name], left=any(isinstance(value, str) for value in its[name].values)))
     for rank, name in enumerate(names):
         values = its[name].values
         if name == "conclusion":

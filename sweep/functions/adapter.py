@@ -469,7 +469,8 @@ class FunctionExperiment(Experiment):
 
     def dimension_coordinates(self) -> dict[str, tuple[Any, str, str]]:
         """Return the values along each dimension of results, their unit and their meaning."""
-        return {one.name: (one.array(), one.unit, one.meaning) for one in self.layout.coordinates}
+        arrays = ((one, np.array(one.labels, dtype=results.DTYPES[one.type])) for one in self.layout.coordinates)
+        return {one.name: (array, one.unit, one.meaning) for one, array in arrays}
 
     def large(self) -> dict[str, np.dtype[Any]]:
         """Return the types of large results."""

@@ -52,10 +52,6 @@ class Coordinate:
         """All values."""
         return range(self.values) if isinstance(self.values, int) else self.values
 
-    def array(self) -> NDArray[Any]:
-        """Return the values as a dataset has them."""
-        return np.array(self.labels, dtype=DTYPES[self.type])
-
 
 @dataclass(frozen=True)
 class Field:
