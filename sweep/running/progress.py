@@ -66,7 +66,7 @@ class MaxFailures:
 
 
 class Reasons:
-    """Reasons why points failed, by what they have in common: of each the first place and message, and how many.
+    """Why points failed, or warnings, by what they have in common: of each the first place and message, and how many.
 
     Messages that differ only in numbers, or in a value of their point, are one reason.
     """
@@ -79,12 +79,12 @@ class Reasons:
         for place, message in (failures or {}).items():
             self.add(place, message)
 
-    def add(self, place: str, message: str) -> None:
-        """Count a point that failed."""
+    def add(self, place: str, message: str, times: int = 1) -> None:
+        """Count a point that failed, or a warning."""
         kind = in_common(place, message)
-        self.points += 1
+        self.points += times
         self.first.setdefault(kind, (place, message))
-        self._numbers[kind] += 1
+        self._numbers[kind] += times
 
     def most(self) -> list[tuple[int, str, str]]:
         """Return of each reason how many points failed for it, a place and a message, the most frequent first."""
@@ -326,17 +326,16 @@ class TerminalProgress(Progress):
         self._once = study.experiment.deterministic
         self._console = Console(file=getattr(sys.stderr, "unescaped", sys.stderr))
         self._with_bar = bar and self._console.is_terminal
-        self._bar: Live | None = None
+        self._bar = Live(get_renderable=self._drawn, console=self._console, transient=True)
         self._done = PlanSize(0, 0, 0, 0.0)
         self._busy = 0.0
-        self._warned: Counter[str] = Counter()
-        self._first_warned: dict[str, str] = {}
+        self._warned = Reasons()
 
     def __enter__(self) -> "TerminalProgress":
         return self
 
     def __exit__(self, _kind: object, error: BaseException | None, _trace: object) -> None:
-        self._remove_bar()
+        self._bar.stop()
         # The exit by a signal has its reason as context.
         reason = error.__context__ if isinstance(error, SystemExit) else error
         code = int(self._failures > 0) if error is None else getattr(error, "exit_code", getattr(error, "code", 1))
@@ -355,7 +354,6 @@ class TerminalProgress(Progress):
         to_do = f"; {self._counted(pending)} to do {where}" if pending.blocks else ""
         self.say(f"{counted(total.points, 'point')}{kept}{failed_before(survey.failed)}{to_do}")
         if self._with_bar and pending.blocks:
-            self._bar = Live(get_renderable=self._drawn, console=self._console, transient=True)
             self._bar.start()
 
     def advance(self, works: Sequence[Work], result: TaskResult, taken: Taken) -> None:
@@ -370,8 +368,8 @@ class TerminalProgress(Progress):
         points = [point for work in works for point in work.points]
         for row, said in result.said.items():
             place = describe(self._study, points[row].parameters)
-            self._warned.update(said.warnings)
-            self._first_warned = dict.fromkeys(said.warnings, place) | self._first_warned
+            for text, times in said.warnings.items():
+                self._warned.add(place, text, times)
             for line in said.printed.splitlines():
                 RECORD.info("%s: printed: %s", place, line)
         failed = sum(point.index in taken.failed for point in taken.ended)
@@ -394,11 +392,11 @@ class TerminalProgress(Progress):
         return min(max(LINE_FIRST_S, LINE_SHARE * self._elapsed()), LINE_LAST_S)
 
     def _show(self, line: str) -> None:
-        (SENTENCES if self._bar is None else RECORD).info(line)
+        (RECORD if self._bar.is_started else SENTENCES).info(line)
 
     def written(self) -> None:
         """Remove the bar: all results are on disk."""
-        self._remove_bar()
+        self._bar.stop()
         self._write("written")
 
     def _write(self, event: str, **about: Any) -> None:
@@ -409,18 +407,13 @@ class TerminalProgress(Progress):
             self._events = None
             self.say(f"warning: no more events can be written: {error.strerror}")
 
-    def _remove_bar(self) -> None:
-        if self._bar is not None:
-            self._bar.stop()
-            self._bar = None
-
     def say(self, text: str) -> None:
         """Tell the user a sentence."""
         SENTENCES.info(text)
 
     def stopped(self, stop: RunInterruptedError, store: object) -> None:
         """Say what an interrupted run leaves, how to go on, and what else was wrong."""
-        self._remove_bar()
+        self._bar.stop()
         done = "nothing was begun"
         if self._begun is not None:
             failed = f", {counted(self._count.reasons.points, 'point')} failed" if self._count.reasons.points else ""
@@ -436,10 +429,11 @@ class TerminalProgress(Progress):
             if self._done.blocks:
                 self.say(self._summary(self._elapsed()))
             self.say(f"wrote {str(store).translate(ESCAPED)}{further}")
-            for text, n in self._warned.most_common(NAMED):
-                often = "once" if n == 1 else f"{n:,} times, first"
-                SENTENCES.warning(f"warned {often} at {self._first_warned[text]}: {short(text)}")
-            if (more := len(self._warned) - NAMED) > 0:
+            warned = self._warned.most()
+            for times, place, text in warned[:NAMED]:
+                often = "once" if times == 1 else f"{times:,} times, first"
+                SENTENCES.warning(f"warned {often} at {place}: {short(text)}")
+            if (more := len(warned) - NAMED) > 0:
                 SENTENCES.warning(f"warned of {more} other things")
         if failures:
             name = typed(store)
