@@ -294,7 +294,7 @@ def report_page(datasets: Sequence[tuple[str, xr.Dataset]]) -> str:
             one = section(name, dataset, number, room) if is_study else link_section(name, result, number)
         except SweepError as error:
             raise SweepError(error.problems, error.where or name) from error
-        sections.append(one)
+        sections.append(one | {"about": dataset.attrs})
         room -= one.get("numbers", 0)
     explored = any(one["explorer"]["quantities"] for one in sections)
     scripts = [template_file("page.js")]
@@ -415,13 +415,10 @@ def section(store: str, dataset: xr.Dataset, number: int, room: int) -> dict[str
     return {
         "store": store,
         "title": title,
-        "question": str(about.get("question", "")),
-        "description": str(about.get("description", "")),
         "gaps": answer.completeness(dataset),
         "short": answer.answer_in_short(dataset),
         "head": answer.conclusion_in_words(dataset),  # the box says the rest
         "answers": answer.answers(dataset, decided),
-        "changed": str(about.get("study_overrides", "")),
         "comparisons": comparisons,
         "verdicts": compare.summary_line(comparisons) if comparisons else "",
         "pictures": figures,

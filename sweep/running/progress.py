@@ -326,7 +326,7 @@ class TerminalProgress(Progress):
         self._once = study.experiment.deterministic
         self._console = Console(file=getattr(sys.stderr, "unescaped", sys.stderr))
         self._with_bar = bar and self._console.is_terminal
-        self._bar = Live(get_renderable=self._drawn, console=self._console, transient=True)
+        self._bar = Live(self, console=self._console, transient=True)
         self._done = PlanSize(0, 0, 0, 0.0)
         self._busy = 0.0
         self._warned = Reasons()
@@ -476,7 +476,7 @@ class TerminalProgress(Progress):
         time_left = [] if left is None else [f"about {in_words(left)} left"]
         return ", ".join([f"{self._count}{share}", *time_left, self._speed(self._elapsed())])
 
-    def _drawn(self) -> Table:
+    def __rich__(self) -> Table:
         """Return the bar and its line, with what failed in red and the first reason as far as there is room."""
         line = Text(self._line(), no_wrap=True, overflow="ellipsis")
         line.highlight_regex(r"[\d,]+ failed", "bold red")
