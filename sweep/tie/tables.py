@@ -4,7 +4,6 @@ epoch astrometry of Gaia, filtered and timed by ESA's gaiasupdate, in the place 
 
 import hashlib
 import io
-import json
 import logging
 import re
 import socket
@@ -83,7 +82,10 @@ USUAL = {
 _DESIGNATION = re.compile(r"Gaia E?(DR\d)\b", re.IGNORECASE)
 ZERO_POINT = ("phot_g_mean_mag", "nu_eff_used_in_astrometry", "pseudocolour", "ecl_lat", "astrometric_params_solved")
 
-_ELEMENT = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?|nan", re.IGNORECASE)
+# Of the text of an array: numbers, what stands for a missing one, and truth values.
+_ELEMENT = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?|nan|none|null|--|\b[tf]\b|true|false", re.IGNORECASE)
+_IN_NUMBERS = dict.fromkeys(("none", "null", "--"), "nan") | dict.fromkeys(("t", "true"), "1")
+_IN_NUMBERS |= dict.fromkeys(("f", "false"), "0")
 _ELEMENT_OF_HIPPARCOS = re.compile(r"[+-]?\d*\.\d\d")  # of six characters, which may touch
 
 _BUILT_IN = Path(str(resources.files("linksweep.sweeps") / "data")).resolve()
@@ -462,11 +464,14 @@ def _averaged(read: Columns, epoch: Array, further: Array, options: TableOptions
     return np.full(len(epoch), core.HALF_SPAN if how == "mean" else 0.0)
 
 
-def _numbers(cell: Any, number: re.Pattern[str]) -> Array:
-    return np.array(number.findall(cell) if isinstance(cell, str) else np.ravel(np.ma.filled(cell, np.nan)), float)
+def _numbers(cell: Any, number: re.Pattern[str] = _ELEMENT) -> Array:
+    """Return the numbers of an array, or of its text: tuples in CSV, lists in Parquet."""
+    if isinstance(cell, str):
+        return np.array([_IN_NUMBERS.get(part.lower(), part) for part in number.findall(cell)], float)
+    return np.array(np.ravel(np.ma.filled(cell, np.nan)), float)
 
 
-def _vectors(read: Columns, name: str, size: int, number: re.Pattern[str]) -> Array:
+def _vectors(read: Columns, name: str, size: int, number: re.Pattern[str] = _ELEMENT) -> Array:
     """Return the numbers (size, N) in a column of arrays, or of texts of such numbers; NaN beyond their end."""
     vectors, column = np.full((size, len(read)), np.nan), read.table[name]
     if np.ndim(column) == 2:  # a loop takes minutes for a million rows
@@ -482,7 +487,7 @@ def _vectors(read: Columns, name: str, size: int, number: re.Pattern[str]) -> Ar
 def put_vector(read: Columns, new: Mapping[str, Array]) -> str:
     """Put correlations (N,) by name in the place of those in corr_vec, in its form, and return its column."""
     name = str(read.name("corr_vec"))
-    column, vectors = read.table[name], _vectors(read, name, len(CORRELATIONS), _ELEMENT)
+    column, vectors = read.table[name], _vectors(read, name, len(CORRELATIONS))
     for key, (i, j) in zip(CORRELATIONS, core.ALL_PAIRS, strict=False):
         row, values = vectors[j * (j - 1) // 2 + i], new.get(key, np.nan)
         np.copyto(row, values, where=np.isfinite(row) & np.isfinite(values))
@@ -493,7 +498,7 @@ def put_vector(read: Columns, new: Mapping[str, Array]) -> str:
     else:
         cells = column.astype(object)
         for k in np.flatnonzero(np.isfinite(vectors).any(axis=0)):
-            numbers = _numbers(column[k], _ELEMENT)
+            numbers = _numbers(column[k])
             numbers[: len(vectors)] = vectors[: len(numbers), k]
             cells[k] = str(numbers.tolist()) if isinstance(column[k], str) else numbers
     read.table[name] = cells.astype(str) if column.dtype.kind in "SU" else cells
@@ -514,7 +519,7 @@ def _correlations(read: Columns, present: Flags, checked: bool) -> Array | None:
         return None
     correlations = np.array([np.full(len(read), np.nan) if name is None else read.numbers(name) for name in named])
     if vector:
-        elements = _vectors(read, vector, 36, _ELEMENT)[second * (second - 1) // 2 + first]  # by columns
+        elements = _vectors(read, vector, 36)[second * (second - 1) // 2 + first]  # by columns
         differ = np.any(np.abs(correlations - elements) > ROUNDED, axis=0)
         read.check(differ, f"correlations in columns that contradict {vector}", hint="; leave out one of the two")
         correlations = np.where(np.isfinite(correlations), correlations, elements)
@@ -722,12 +727,10 @@ def read_observations(path: Path) -> tuple[Any, list[str]]:
 
 def _cells(column: Any) -> Any:
     """Return the numbers of a column, or lists of them where it has several in each row."""
-    if column.dtype.kind in "US":  # tuples in CSV, lists in Parquet; gaiasupdate would run them as code
-        text = re.sub("(?i)none|null|nan|--", "NaN", ",".join(column.tolist()).translate(str.maketrans("()TF", "[]tf")))
-        return json.loads(f"[{text}]")
-    if column.ndim == 1 and column.dtype.kind != "O":
-        return np.ma.filled(np.ma.asarray(column).astype(np.float64), np.nan)
-    return [cell.tolist() for cell in column]
+    if column.dtype.kind in "USO":  # text, which gaiasupdate would run as code, or arrays of several lengths
+        return [_numbers(cell) for cell in column]
+    values = np.ma.filled(np.ma.asarray(column).astype(np.float64), np.nan)
+    return values if column.ndim == 1 else list(values)
 
 
 def with_observations(
