@@ -150,6 +150,8 @@ def accuracy_figure(dataset: xr.Dataset) -> Figure:
     """Return ``sigma_pm`` beside ``sigma_pos`` (model, v) against the magnitude v, a line for each mission, with a band
     where its error is known.
     """
+    if (n := dataset.sizes["model"]) > len(style.COLOURS):
+        raise SweepError(f"{n} missions are too many for one picture of {len(style.COLOURS)}: choose --model")
     names, dataset = ["sigma_pm", "sigma_pos"], style.with_literal_texts(dataset)
     dataset = dataset.assign({name: dataset[name].assign_attrs({style.SCALE: "log"}) for name in names})
     figure = drawing.lines_of(dataset, names, "v", "model")
@@ -530,8 +532,7 @@ def _draw_arrows(axes: Any, arrows: Arrows, scale: float, unit: str) -> str:
             drawn.set_in_layout(False)
     factor, readable_unit = _readable(np.array([scale]), unit)
     key = float(f"{factor * scale:.0e}")  # of one digit
-    small: Any = {"size": 8}
-    place: Any = {"labelpos": "E", "coordinates": "axes", "fontproperties": small}
+    place: Any = {"labelpos": "E", "coordinates": "axes", "fontproperties": {"size": 8}}
     axes.quiverkey(drawn, 0.78, 0.02, key / factor / scale, f"{key:g} {readable_unit}", angle=0.0, **place)
     n_cut = np.sum(length > LONGEST * scale)
     words = f"; {formatting.counted(int(n_cut), 'arrow')} cut" if n_cut else ""
