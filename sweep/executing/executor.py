@@ -464,27 +464,24 @@ def threads(_reference: str, workers: int) -> Iterator[tuple[Place, Executor]]:
     from multiprocessing.pool import ThreadPool  # others would keep Python from ending while they compute
 
     def compute(job: AnyJob, task: Task) -> tuple[AnyJob, Any]:
-        try:
-            return job, worker.compute(task)
-        except BaseException as error:  # raised again in the thread of the run
-            return job, error
+        return job, worker.compute(task)
 
     def execute(take: Callable[[int], Sequence[AnyJob]]) -> Iterator[tuple[AnyJob, Any]]:
-        done: SimpleQueue[tuple[AnyJob, Any]] = SimpleQueue()
+        done: SimpleQueue[tuple[AnyJob, Any] | BaseException] = SimpleQueue()
         under_way = 0
         while True:
             # One job more than threads, so that none waits while the results of another are used.
             for job in take(workers + 1 - under_way):
                 # A new thread has none of the context variables that are set here.
-                pool.apply_async(copy_context().run, (compute, job, job.task()), callback=done.put)
+                pool.apply_async(copy_context().run, (compute, job, job.task()), {}, done.put, done.put)
                 under_way += 1
             if not under_way:
                 return
-            job, result = done.get()
+            pair = done.get()
             under_way -= 1
-            if isinstance(result, BaseException):
-                raise result
-            yield job, result
+            if isinstance(pair, BaseException):
+                raise pair
+            yield pair
 
     with threadpool_limits(1), ThreadPool(workers) as pool:
         yield Place(f"on {workers} local {'thread' if workers == 1 else 'threads'}", workers), execute
@@ -516,16 +513,14 @@ def _measured_first(study: Study, cost: float, say: Callable[[str], None]) -> It
         place, compute_here = first.enter_context(one(study.experiment_reference, 1))
 
         def execute(take: Callable[[int], Sequence[AnyJob]]) -> Iterator[tuple[AnyJob, Any]]:
-            done = busy = 0.0
-            slowest = (1.0, 0.0)  # the cost and the seconds of that task, which may have imported: it decides nothing
+            left, done, busy = cost, 0.0, 0.0
             for job, result in compute_here(take):
                 yield job, result
-                latest = job.cost * len(result.seconds) / len(job), float(result.seconds.sum())
-                done, busy = done + latest[0], busy + latest[1]
-                slowest = max(slowest, latest, key=lambda task: task[1] / task[0])
-                usual = busy - slowest[1]
-                left = max(0.0, cost - done) * usual / max(done - slowest[0], 1e-9)
-                if usual > JUDGED_S and left * (1.0 - 1.0 / available_cores()) > WORKERS_START_S:
+                latest = job.cost * len(result.seconds) / len(job)
+                left -= latest
+                if not result.cold:
+                    done, busy = done + latest, busy + float(result.seconds.sum())
+                if busy > JUDGED_S and left * busy / done * (1.0 - 1.0 / available_cores()) > WORKERS_START_S:
                     break
             else:
                 return

@@ -12,7 +12,6 @@ import signal
 import sys
 import threading
 import time
-import traceback
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
@@ -91,8 +90,10 @@ class _Routes:
         self._lock = threading.Lock()
         self._threads: dict[int, Captured] = {}
 
-    def begin(self, captured: Captured) -> Captured | None:
-        """Capture the calling thread; return in what it was captured before, as where a block runs a study."""
+    @contextmanager
+    def capturing(self) -> Iterator[Captured]:
+        """Capture what the calling thread prints in this block, and its warnings."""
+        result, thread = Captured(), threading.get_ident()
         with self._lock:
             if not self._threads:
                 self._before, self._warn_before = _Snapshot(), warnings.showwarning
@@ -103,27 +104,25 @@ class _Routes:
                 _set_filters([("always" if f[0] in seldom else f[0], *f[1:]) for f in warnings.filters])
                 warnings.simplefilter("always", append=True)
                 self._between_blocks = _Snapshot()
-            before = self._threads.get(threading.get_ident())
-            self._threads[threading.get_ident()] = captured
-            return before
+            before = self._threads.get(thread)  # as where a block runs a study
+            self._threads[thread] = result
+        try:
+            yield result
+        finally:
+            with self._lock:
+                del self._threads[thread]
+                self._threads |= {} if before is None else {thread: before}
+                if not self._threads:
+                    self._before.put_back()
+                    warnings.showwarning = self._warn_before
+                    np.random.set_state(self._generators[0])  # noqa: NPY002
+                    random.setstate(self._generators[1])
 
     def restore(self) -> None:
         """Undo what a captured thread has changed about the process."""
         with self._lock:
             if self._threads:
                 self._between_blocks.put_back()
-
-    def end(self, before: Captured | None) -> None:
-        """Stop capturing the calling thread, or capture it as ``before``."""
-        with self._lock:
-            del self._threads[threading.get_ident()]
-            if before is not None:
-                self._threads[threading.get_ident()] = before
-            if not self._threads:
-                self._before.put_back()
-                warnings.showwarning = self._warn_before
-                np.random.set_state(self._generators[0])  # noqa: NPY002
-                random.setstate(self._generators[1])
 
     def captured(self) -> Captured | None:
         """Return what the calling thread is captured in: that of a block under way for a thread that one has started,
@@ -147,17 +146,6 @@ _routes = _Routes()
 
 
 @contextmanager
-def captured() -> Iterator[Captured]:
-    """Capture what this thread prints in this block, and its warnings."""
-    result = Captured()
-    before = _routes.begin(result)
-    try:
-        yield result
-    finally:
-        _routes.end(before)
-
-
-@contextmanager
 def undisturbed(task: Task, seed: int) -> Iterator[None]:
     """Run code of an experiment in a captured thread so that no point depends on the one before it, as far as that is
     cheap: the generators of NumPy and Python for a process start from a ``seed``, and what is set for the arithmetic of
@@ -169,16 +157,9 @@ def undisturbed(task: Task, seed: int) -> Iterator[None]:
     try:
         with np.errstate(**task.errors), decimal.localcontext(task.decimals):
             yield
-    except BaseException as error:
-        if os.getpid() != parent:  # as Python ends: with the code of `sys.exit`, or with 1 and a traceback
-            code = error.code if isinstance(error, SystemExit) else 1
-            if not isinstance(error, SystemExit):
-                traceback.print_exception(error, file=sys.__stderr__)
-            os._exit(0 if code is None else code if isinstance(code, int) else 1)
-        raise
     finally:
         if os.getpid() != parent:  # it would go on with the run beside its parent
-            os._exit(0)
+            os._exit(1)
         _routes.restore()
 
 
@@ -364,7 +345,7 @@ class _Computing:
 
     def results(self, apart: bool) -> Iterator[TaskResult]:
         """Yield the results of the units, one by one or unless ``apart`` of several together."""
-        with captured() if self.task.caught else nullcontext(Captured()) as said:
+        with _routes.capturing() if self.task.caught else nullcontext(Captured()) as said:
             for units, result in self._computed(apart, said):
                 if printed := said.taken():
                     result.said[0] = printed
@@ -538,10 +519,7 @@ def _agree(one: NDArray[Any], other: NDArray[Any], everything: NDArray[Any], tol
     same = one == other
     if one.dtype.kind == other.dtype.kind == "f":
         others = 0.01 * np.max(np.abs(everything), axis=0, where=np.isfinite(everything), initial=0.0)
-        with np.errstate(invalid="ignore"):
-            apart = np.abs(one - other)
-        near = apart <= tolerance * np.maximum(np.maximum(np.abs(one), np.abs(other)), others)
-        same |= (near & np.isfinite(apart)) | (np.isnan(one) & np.isnan(other))
+        same |= np.isclose(one, other, rtol=tolerance, atol=tolerance * others, equal_nan=True)
     return bool(np.all(same))
 
 

@@ -16,7 +16,16 @@ from hashlib import blake2b
 from typing import Annotated, Any, Literal, Self, TypeVar
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    AliasPath,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    model_validator,
+)
 
 from linksweep.sweep.contract import MOST_VALUES, REFERENCE
 
@@ -234,22 +243,14 @@ def newest(content: bytes | None, of_root: Manifest) -> Manifest:
     return manifest
 
 
-class _Chunks(_Part):
-    chunk_shape: list[Size]
-
-
-class _Grid(_Part):
-    name: Literal["regular"]
-    configuration: _Chunks
-
-
 class _Codec(_Part):
     name: Literal["bytes", "vlen-utf8", "zstd", "crc32c"]
 
 
 class _Array(_Part):
     shape: list[Count]
-    chunk_grid: _Grid
+    grid: Annotated[Literal["regular"], Field(validation_alias=AliasPath("chunk_grid", "name"))]
+    sizes: Annotated[list[Size], Field(validation_alias=AliasPath("chunk_grid", "configuration", "chunk_shape"))]
     codecs: list[_Codec]
     dimension_names: list[Name] = []
     attributes: Object
@@ -257,14 +258,12 @@ class _Array(_Part):
     @property
     def chunks(self) -> int:
         """How many chunks there are; raises ValueError where there cannot be such chunks."""
-        sizes = self.chunk_grid.configuration.chunk_shape
-        if len({len(self.shape), len(sizes), len(self.dimension_names)}) > 1 or math.prod(sizes) > MOST_VALUES:
+        if (
+            len({len(self.shape), len(self.sizes), len(self.dimension_names)}) > 1
+            or math.prod(self.sizes) > MOST_VALUES
+        ):
             raise ValueError("an array with such chunks is never written")
-        return math.prod(-(-n // size) for n, size in zip(self.shape, sizes, strict=True))
-
-
-class _Arrays(_Part):
-    metadata: dict[Name, _Array]
+        return math.prod(-(-n // size) for n, size in zip(self.shape, self.sizes, strict=True))
 
 
 class _Layout(_Part):
@@ -339,13 +338,13 @@ class Root(_Part):
     """A root document."""
 
     attributes: Attributes
-    consolidated_metadata: _Arrays
+    arrays: Annotated[dict[Name, _Array], Field(validation_alias=AliasPath("consolidated_metadata", "metadata"))]
 
     @model_validator(mode="after")
     def _fits(self) -> Self:
         # An array of which chunks are not listed would be read as empty there, however large it says that it is.
         listed = Counter(file.partition("/")[0] for file in self.attributes.chunk_checksums)
-        expected = {name: array.chunks for name, array in self.consolidated_metadata.metadata.items()}
+        expected = {name: array.chunks for name, array in self.arrays.items()}
         if listed != Counter(expected):
             raise ValueError("it has other checksums than chunks")
         return self

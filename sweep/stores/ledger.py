@@ -13,12 +13,13 @@ was not finished, or was computed again.
 
 import json
 import re
+import sys
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import accumulate
+from itertools import accumulate, islice
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -225,7 +226,8 @@ class Ledger:
     """
 
     def __init__(self, location: Location, of_root: Manifest, writes: bool = False) -> None:
-        """Read all but the samples; ``damaged`` has what is wrong with which file.
+        """Read all but the samples; ``damaged`` has what is wrong with which file, and ``is_ahead`` says whether there
+        are files that the manifest does not know, since a run ended while it wrote them.
 
         ``of_root`` is the manifest that the root document knows; only who holds the lock ``writes``.
         """
@@ -248,27 +250,27 @@ class Ledger:
         with reading(location):
             contents = location.get_all(map(path_of, [*documents.values(), *(part.rows for part in self.parts)]))
         self._documents: dict[str, dict[str, Any]] = {}
+        self.failures: dict[bytes, Record] = {}
         for kind, file in documents.items():
             with noting(self.damaged, path_of(file)):
                 self._documents[kind] = dict(json.loads(integrity.whole(contents[path_of(file)], file.checksum)))
-        self.failures: dict[bytes, Record] = {}
-        if "failures" in self._documents:
-            with noting(self.damaged, path_of(documents["failures"])):
-                self.failures = _failures(self._documents["failures"])
+        with noting(self.damaged, path_of(documents.get("failures"))):
+            self.failures = _failures(self._documents.get("failures", {"failures": {}}))
         records = self._records(contents, self.damaged)
         # Kept for the one who opens the store; gone with the first new rows, since it may be as large as all results.
         self._rows: Rows | None = np.ascontiguousarray(records["row"])
         self.rows = BlockRows(records["key"].tolist())
-        self.chunks = _references(records)
+        self.chunks = references(records["row"])
         self.damaged |= dict.fromkeys({*map(file_of, self.chunks)} - self.keys, integrity.MISSING)
         self._seconds = [records["seconds"].copy()]
         self._new: list[Blocks] = []
         self._unwritten = 0
         self._new_documents: set[str] = set()
-        self._changed = False
         self._recent: dict[str, tuple[Blocks, NDArray[np.uint64]]] = {}
+        ours = re.compile(rf"{FOLDER}/(rows|samples|failures|study)\.\d+\.\d+")
         # Left by a run that was killed.
-        self._old = self._strangers()
+        self._old = {key for key in self.keys if ours.fullmatch(key)} - set(self.files)
+        self.is_ahead = bool(self._old)
 
     @property
     def copy(self) -> dict[str, Any] | None:
@@ -280,15 +282,6 @@ class Ledger:
         """The names of the files that count."""
         files = [*self.manifest.documents.values(), *(file for part in self.manifest.parts for file in part.files)]
         return [*([MANIFEST] if self.manifest.revision else []), *map(path_of, files)]
-
-    @property
-    def is_ahead(self) -> bool:
-        """Whether there are files that the manifest does not know: a run ended while it wrote them."""
-        return bool(self._strangers())
-
-    def _strangers(self) -> set[str]:
-        ours = re.compile(rf"{FOLDER}/(rows|samples|failures|study)\.\d+\.\d+")
-        return {key for key in self.keys if ours.fullmatch(key)} - set(self.files)
 
     def read(self) -> Rows:
         """Return all rows; `rows` has the place of each block in them."""
@@ -338,7 +331,7 @@ class Ledger:
         self._new.append((records, np.concatenate([np.zeros((0, self.samples_width)), *samples])))
         self.rows.extend(keys)
         self.chunks |= references(rows)
-        self._rows, self._changed = None, True
+        self._rows = None
         self._unwritten += sum(array.nbytes for array in self._new[-1])
         if self._unwritten > MOST_UNWRITTEN:
             self.flush()
@@ -369,19 +362,18 @@ class Ledger:
             changed["key"][kept], changed["seconds"] = records["key"][kept], records["seconds"]
             if kept.any():  # else results may be of another kind
                 changed["row"][kept] = converted(records["row"][kept], dtype)
-            self.chunks |= _references(changed)
+            self.chunks |= references(changed["row"])
             samples = samples[np.repeat(kept, _counts(records).astype(np.intp))] if part.samples else samples
             samples = samples.reshape(len(samples), samples_width)
             self.parts.append(self._put((changed, samples), revision, 10**6 + number))
         for key in gone & self.rows.keys():
             del self.rows[key]
-        self.dtype, self.samples_width, self._rows, self._changed = dtype, samples_width, None, True
+        self.dtype, self.samples_width, self._rows = dtype, samples_width, None
 
     def put(self, kind: str, attributes: Mapping[str, Any]) -> None:
         """Replace a document; it counts after the next `flush`."""
         self._documents[kind] = dict(attributes)
         self._new_documents.add(kind)
-        self._changed = True
 
     def is_unchanged(self) -> bool:
         """Return whether the manifest is as it was read or written last; raises OSError."""
@@ -392,7 +384,7 @@ class Ledger:
 
         Raises SweepError too where others have changed or removed the ledger meanwhile.
         """
-        if self._changed or again:
+        if self._new or self._new_documents or self.parts != self.manifest.parts or again:
             with self.writing():
                 self._flush()
 
@@ -428,7 +420,7 @@ class Ledger:
         self._location.put(MANIFEST, content)
         # Only now do the new files count: after an error all of this is written again.
         self.manifest, self._contents, self.parts = manifest, (content,), parts
-        self._new, self._unwritten, self._new_documents, self._changed = [], 0, set(), False
+        self._new, self._unwritten, self._new_documents = [], 0, set()
         self._delete_old()
         # Kept until the next flush, for those who read the store meanwhile.
         self._old = before - set(self.files)
@@ -440,12 +432,10 @@ class Ledger:
         with self.writing():
             self._delete_old()
             there = self._location.keys(f"{FOLDER}/") if self.chunks else ()
-            for key in {key for key in there if FILE.fullmatch(key)} - {*map(file_of, self.chunks)}:
-                self._location.delete(key)
+            self._location.delete(*({key for key in there if FILE.fullmatch(key)} - {*map(file_of, self.chunks)}))
 
     def _delete_old(self) -> None:
-        for key in self._old - set(self.files):
-            self._location.delete(key)
+        self._location.delete(*(self._old - set(self.files)))
         self._old = set()
 
     def mend(self, damaged: Iterable[str]) -> None:
@@ -568,11 +558,6 @@ def _record_type(dtype: np.dtype[np.void]) -> np.dtype[np.void]:
     return np.dtype([("key", f"V{KEY_BYTES}"), ("seconds", "<f8"), ("row", dtype)])
 
 
-def _references(records: NDArray[Any]) -> set[bytes]:
-    """Return the references to chunks in the rows that count."""
-    return references(records["row"][records["key"] != np.void(bytes(KEY_BYTES))])
-
-
 def _columns(records: NDArray[Any]) -> tuple[list[NDArray[Any]], list[NDArray[Any]]]:
     """Return the keys, seconds and fields of rows, as views: those of fixed width, and those of texts."""
     row = records["row"]
@@ -600,12 +585,9 @@ def _unpacked(content: bytes, count: int, dtype: np.dtype[np.void]) -> NDArray[A
     listed = json.loads(content[at:]) if texts else []
     if sum(column.size for column in texts) != len(listed) or not all(isinstance(text, str) for text in listed):
         raise ValueError("it has other texts than rows")
-    known: dict[str, str] = {}
-    # Equal texts are one object.
-    shared = np.array([known.setdefault(text, text) for text in listed], dtype=object)
+    shared = map(sys.intern, listed)  # equal texts are one object
     for column in texts:
-        column[...] = shared[: column.size].reshape(column.shape)
-        shared = shared[column.size :]
+        column.flat[:] = list(islice(shared, column.size))
     return records
 
 

@@ -43,9 +43,9 @@ AT_ONCE = 16
 # How long a request to a bucket is tried again after dropped connections and errors of the server.
 TIMEOUT = timedelta(seconds=15)
 
-# Settings with which a request was tried again for so long, until when no other is tried, and why: a run that stops
-# does not wait for each of its last requests.
-DOWN: dict[frozenset[tuple[str, str]], tuple[float, str]] = {}
+# Endpoints to which a request was tried again for so long, until when no other is tried, and why: a run that stops does
+# not wait for each of its last requests.
+DOWN: dict[str, tuple[float, str]] = {}
 
 # The process that has made requests: a fork of it has none of obstore's threads, and would wait for ever.
 USED_BY: set[int] = set()
@@ -142,13 +142,14 @@ class Folder:
                 return True
         return False
 
-    def delete(self, key: str) -> None:
-        """Remove a file if there is one, and the folder of an array of which nothing is left."""
-        path = self._at(key)
-        path.unlink(missing_ok=True)
-        if "/" in key:
-            with suppress(OSError):
-                path.parent.rmdir()
+    def delete(self, *keys: str) -> None:
+        """Remove files that are there, and the folders of arrays of which nothing is left, one after the other."""
+        for key in keys:
+            path = self._at(key)
+            path.unlink(missing_ok=True)
+            if "/" in key:
+                with suppress(OSError):
+                    path.parent.rmdir()
 
     def clear(self) -> None:
         """Remove the folder with all that is in it."""
@@ -361,25 +362,25 @@ class Bucket:
                 return True
         return False
 
-    def delete(self, key: str) -> None:
-        """Remove an object if there is one."""
-        begun = time.monotonic()
-        while True:
+    def delete(self, *keys: str) -> None:
+        """Remove objects that are there, one after the other."""
+        for key in keys:
             # S3 deletes by a POST, which obstore does not repeat after a broken connection, since it cannot know that
             # this one may be repeated.
-            try:
-                with suppress(FileNotFoundError), self._request(begun):
-                    self.objects.delete(key)
-                return
-            except OSError:
-                if _given_up():
-                    raise
-                time.sleep(0.2)
+            begun, is_there = time.monotonic(), True
+            while is_there:
+                try:
+                    with suppress(FileNotFoundError), self._request(begun):
+                        self.objects.delete(key)
+                    is_there = False
+                except OSError:
+                    if _given_up():
+                        raise
+                    time.sleep(0.2)
 
     def clear(self) -> None:
         """Remove all objects."""
-        for key in self.keys():
-            self.delete(key)
+        self.delete(*self.keys())
 
     def keys(self, under: str = "") -> list[str]:
         """Return the names of all objects that begin with ``under``."""
@@ -427,7 +428,7 @@ class Bucket:
             is_refused = isinstance(error, exceptions.PermissionDeniedError | exceptions.UnauthenticatedError)
             why, ended = _explained(str(error), is_refused), time.monotonic()
             if ended - begun > TIMEOUT.total_seconds() * 0.8:
-                DOWN[_settings()] = ended + TIMEOUT.total_seconds(), why
+                DOWN[_endpoint()] = ended + TIMEOUT.total_seconds(), why
             raise OSError(why) from error
 
 
@@ -447,12 +448,8 @@ def _explained(text: str, is_refused: bool) -> str:
 def _given_up() -> str:
     if USED_BY - {os.getpid()}:
         return "a fork of a process that has used a bucket cannot use one"
-    until, why = DOWN.get(_settings(), (0.0, ""))
+    until, why = DOWN.get(_endpoint(), (0.0, ""))
     return why if time.monotonic() < until else ""
-
-
-def _settings() -> frozenset[tuple[str, str]]:
-    return frozenset((name, value) for name, value in os.environ.items() if name.startswith("AWS_") and value)
 
 
 def _endpoint() -> str:
@@ -614,14 +611,13 @@ def _refuse_unless_free(location: Location, other: Holder | None, break_lock: bo
     is_own = other is not None and other.pid == os.getpid()
     if state == "has ended" or (break_lock and (state != "runs" or is_own)):
         return
+    problem = f"its lock {_lock_of(location)} beside it is damaged" if other is None else f"is being written by {other}"
+    more = (
+        "; whether it is still written to cannot be told from here: if not, the same command with --break-lock goes on"
+    )
     if state == "runs":
-        problem = f"is being written by {other}"
-        problem += "; --break-lock is only for a lock whose process has ended" if break_lock else ""
-    else:
-        whose = f"is being written by {other}; whether that still runs cannot be told from here"
-        problem = f"its lock {_lock_of(location)} beside it is damaged" if other is None else whose
-        problem += "; if no run writes to it, the same command with --break-lock goes on"
-    raise SweepError(problem, str(location))
+        more = "; --break-lock is only for a lock whose process has ended" if break_lock else ""
+    raise SweepError(f"{problem}{more}", str(location))
 
 
 def _lock_of(location: Location) -> str:

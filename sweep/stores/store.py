@@ -18,7 +18,7 @@ import platform
 import re
 import sys
 import warnings
-from collections.abc import Callable, Collection, Iterable, Mapping, Set
+from collections.abc import Callable, Collection, Mapping, Set
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -104,13 +104,12 @@ class OpenStore:
                     dataset = decode(self.root, self.location)
                 # These are the very chunks that the root document means.
                 break
-            except ValueError as error:
-                problem = error
-            # A run may have replaced these chunks meanwhile; then the root is another one, and that is read instead.
-            before, self.root = self.root, read_root(self.location)
-            if self.root == before:
-                rewrite = "`sweep run` the study again to write them anew from the ledger"
-                raise SweepError(f"the results are damaged ({problem}); {rewrite}", str(self.location)) from problem
+            except ValueError as problem:
+                # A run may have replaced these chunks meanwhile; then the root is another, and that is read instead.
+                before, self.root = self.root, read_root(self.location)
+                if self.root == before:
+                    rewrite = "`sweep run` the study again to write them anew from the ledger"
+                    raise SweepError(f"the results are damaged ({problem}); {rewrite}", str(self.location)) from problem
         else:
             raise SweepError("is being written faster than it can be read; try again", str(self.location))
         if not dataset.data_vars:
@@ -218,7 +217,7 @@ class Store(OpenStore):
             # The order is what makes a kill harmless: rows, then results, then the root that refers to both.
             self.keep_copy(attributes)
             self.flush()
-            self._delete(self._files - in_use - gone)
+            self.location.delete(*(self._files - in_use - gone))
             self.location.copy_all({key: ledgers.file_of(chunk) for key, chunk in linked.items()})
             # Values first and the status last, for those who read without the root document.
             for is_status in (False, True):
@@ -228,7 +227,7 @@ class Store(OpenStore):
             self._put_root(integrity.group_document(attributes, documents))
             # Who reads the last writing may miss values so far, and nothing else: NaN, as if there were none yet.
             gone |= {f for f in in_use if f"{f.partition('/')[0]}/zarr.json" in gone and f"{RUNNING}/" in f}
-            self._delete(gone)
+            self.location.delete(*gone)
         self._files = in_use - gone
 
     def has(self, dataset: Any) -> bool:
@@ -270,10 +269,6 @@ class Store(OpenStore):
         beside.adopt(self.location, {chunk for name, some in chunks.items() if name not in gone for chunk in some})
         beside.write(replace(dataset.drop_vars(gone), attrs={**dataset.attrs, RESCUED: str(self.location)}))
         return place
-
-    def _delete(self, keys: Iterable[str]) -> None:
-        for key in keys:
-            self.location.delete(key)
 
     def _put_root(self, root: Mapping[str, Any]) -> None:
         """Replace the root document; after an error the one that is there counts."""
@@ -354,8 +349,7 @@ def replace_store(where: Where, attributes: Mapping[str, Any]) -> OpenStore | No
         ours = {*arrays, *(key for key in keys if key.partition("/")[0] == ledgers.FOLDER)} - {MANIFEST}
         # If the process is killed after any of these, the old store has merely lost its results, then its blocks.
         put_root(location, emptied)
-        for key in (MANIFEST, *sorted(ours)):
-            location.delete(key)
+        location.delete(MANIFEST, *sorted(ours))
         return create_store(location, attributes)
 
 
@@ -421,12 +415,12 @@ def find_root(location: Location) -> dict[str, Any] | None:
 def _check_format(attributes: Mapping[str, Any], where: str) -> None:
     """Raise SweepError for a store of a format that this version does not read; KeyError for what is no store."""
     version = attributes[FORMAT_OF]
-    if version != FORMAT and isinstance(version, int):
-        is_newer, old = version > FORMAT, "older: run the study into a new store with -o"
-        age = "newer: upgrade with `pip install -U linksweep`" if is_newer else old
-        raise SweepError(f"has store format {version}; this version reads format {FORMAT}. It is {age}", where)
-    if version != FORMAT:
+    if not isinstance(version, int):
         raise KeyError(FORMAT_OF)
+    if version != FORMAT:
+        old, new = "older: run the study into a new store with -o", "newer: upgrade with `pip install -U linksweep`"
+        age = new if version > FORMAT else old
+        raise SweepError(f"has store format {version}; this version reads format {FORMAT}. It is {age}", where)
 
 
 def manifest_of(root: Mapping[str, Any]) -> integrity.Manifest:
@@ -469,11 +463,10 @@ def copied(attributes: Mapping[str, Any]) -> dict[str, Any]:
 def origin(location: Location) -> str:
     """Return the host, the user and the place of a store that this process writes."""
     place = str(location.path.resolve()) if isinstance(location, Folder) else str(location)
-    try:
+    user = str(os.getuid())
+    with suppress(KeyError, OSError):
+        # Of a user without a name, as in a container.
         user = getpass.getuser()
-    except (KeyError, OSError):
-        # A user without a name, as in a container.
-        user = str(os.getuid())
     return json.dumps({"host": platform.node(), "user": user, "path": place})
 
 
@@ -676,28 +669,23 @@ def repair(where: Where, *, break_lock: bool = False) -> list[str]:
     with locked(location, break_lock=break_lock), writing(location):
         report, attributes, ledger = _check(location)
         ledger.writes = True
-        done: list[str] = []
         for file in (*report.identity, *report.ledger):
             if (content := location.get(file)) is not None:
                 location.parent.put(f"{location.name}.damaged/{file}", content)
-        damaged = dict(report.ledger)
-        if damaged:
+        if report.ledger:
             attributes = {**attributes, "repaired": 1}
             if ROOT not in report.identity:  # before the ledger forgets that something was there
                 location.put(ROOT, integrity.sealed({**read_root(location), "attributes": attributes}, ROOT))
-        if report.identity or damaged:
+        if report.identity or report.ledger:
             ledger.put("study", copied(attributes))
-            done += [f"{file}, the copy of {ROOT}, was made anew" for file in report.identity.keys() - {ROOT}]
-            done += [f"{file}: the next `sweep run` computes again what was in it" for file in damaged]
-            ledger.mend(damaged)
+            ledger.mend(report.ledger)
             ledger.tidy()
         if ROOT in report.identity:
             put_root(location, {**attributes, LEDGER_THEN: ledger.manifest.model_dump_json()})
-            done.append(f"{ROOT} was made anew from its copy; the results are not in it until `sweep run` writes them")
-        if report.results:
-            files = ", ".join(report.results)
-            done.append(f"{files}: the next `sweep run` writes the results anew from the ledger")
-        return done
+        done = dict.fromkeys(report.identity, "is made anew; the next `sweep run` writes the results")
+        done |= dict.fromkeys(report.ledger, "the next `sweep run` computes again what was in it")
+        done |= dict.fromkeys(report.results, "the next `sweep run` writes it anew from the ledger")
+        return [f"{file}: {what}" for file, what in done.items()]
 
 
 def _check(location: Location) -> tuple[Report, dict[str, Any], Ledger]:

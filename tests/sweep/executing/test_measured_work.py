@@ -55,7 +55,7 @@ def test_work_that_turns_out_long_moves_to_worker_processes(study, tmp_path, mon
     whole, _ = run_study(study, tmp_path / "whole.zarr", ANY_RESOURCES, watcher)
     assert watcher.said == []  # short work stays in this process
     monkeypatch.setattr(executor, "WORKERS_START_S", -1.0)
-    monkeypatch.setattr(executor, "JUDGED_S", -1.0)
+    monkeypatch.setattr(executor, "JUDGED_S", 0.0)
     dataset, failures = run_study(study, tmp_path / "s.zarr", ANY_RESOURCES, watcher)
     assert not failures
     assert any("the rest runs on" in text and "local worker process" in text for text in watcher.said)
