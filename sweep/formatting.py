@@ -277,14 +277,16 @@ def prefixed(values: Any, unit: str) -> Prefixed:
     if len(choices) == 1:
         return choices[0]
     sizes = np.abs(np.asarray(values, dtype=float))
-    sizes = sizes[(sizes > 0.0) & (sizes < inf)]
-    with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
-        powers = np.log10([sizes * choice.factor for choice in choices])
-    # how many zeros, or digits beyond the third, each number has; infinite where it is no float with this prefix
-    zeros = np.where(powers < log10(MOST), np.fmax(0.0, log10(LEAST) - powers), powers - log10(MOST) + 1.0)
-    best = int(zeros.sum(axis=1).round(9).argmin())
+    powers = np.log10(sizes[(sizes > 0.0) & (sizes < inf)])
+
+    def zeros(choice: Prefixed) -> Any:
+        """Return how many zeros, or digits beyond the third, each number has."""
+        there = powers + log10(choice.factor)
+        return np.where(there < log10(MOST), np.fmax(0.0, log10(LEAST) - there), there - log10(MOST) + 1.0)
+
+    best = min(choices, key=lambda choice: round(float(zeros(choice).sum()), 9))
     # A number with more than three zeros has an exponent in any unit.
-    return choices[best] if (zeros[best] <= 3.0).any() else choices[0]
+    return best if (zeros(best) <= 3.0).any() else choices[0]
 
 
 def written(unit: str) -> str:
