@@ -627,8 +627,8 @@ def map_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -
     variable, numeric = variables[0], quantity.numeric_axes(dataset, variables[0])
     chosen = [quantity.require_axis(dataset, variable, axis) for axis in over or _two_axes(dataset, variable)]
     if len(chosen) != 2 or len({dataset[axis].dims[0] for axis in chosen}) != 2:
-        wanted, got = ", ".join(numeric), ", ".join(chosen) or "none"
-        raise SweepError(f"a map needs two axes that are crossed, of {wanted}; not {got}")
+        known, got = (", ".join(names) or "none" for names in (numeric, chosen))
+        raise SweepError(f"a map needs two axes of numbers that are crossed, not {got}; there are {known}")
     if len(others := _others(dataset, variable, chosen)) > 2:
         raise _too_many(dataset, others)
     dataset = _with_effect(dataset, chosen)
@@ -870,28 +870,24 @@ WORDS = {"first": "first order", "total": "total", "mu_star": r"mean absolute ef
 
 
 def sensitivity_figure(dataset: xr.Dataset) -> Figure:
-    """Return a figure of indices, lines along a further dimension; raises SweepError where there are more of them."""
+    """Return a figure of indices, lines along a further dimension."""
     kinds = [name for name in WORDS if name in dataset]
     if not np.isfinite(dataset[kinds[0]]).any():
         raise SweepError(f"{dataset.attrs['output']} does not vary: there are no indices to draw")
     further = [str(d) for d in dataset[kinds[0]].dims if d != "parameter" and dataset.sizes[d] > 1]
     dataset = dataset.squeeze([d for d in dataset.dims if d not in ("parameter", *further)])
-    if len(further) > 1 or (further and dataset[further[0]].dtype.kind not in "iufM"):
-        raise SweepError(f"indices of {' and '.join(further)} do not fit one picture; fix some with --at AXIS=VALUE")
-    unit = formatting.written(formatting.units_of(dataset[kinds[0]].attrs))
-    effect = "share of the variance" if "first" in kinds else "effect over the range" + (f" [{unit}]" if unit else "")
+    effect = "share of the variance" if "first" in kinds else "effect over the range"
     symbols = {n: "+".join(map(style.symbol, n.split("+"))) for n in dataset["parameter"].values.tolist()}
     if further:
-        words = {n: dataset[n].assign_attrs(symbol=f"{effect}, {WORDS[n]}", units="") for n in kinds}
+        words = {n: dataset[n].assign_attrs(symbol=f"{effect}, {WORDS[n]}") for n in kinds}
         return lines_of(dataset.assign(words), kinds, further[0], "parameter", symbols)
     figure, (axes,) = style.new_figure(6.4, 1.4 + 0.45 * dataset.sizes["parameter"])
     one = dataset.sortby(dataset[kinds[-1] if "total" in kinds else kinds[0]].fillna(0.0))
     parts = {WORDS[kind]: (one[kind].values, one.get(f"{kind}_error")) for kind in kinds}
     style.draw_beside(axes, "y", [symbols[name] for name in one["parameter"].values.tolist()], parts)
     if "first" in kinds:
-        low, high = axes.get_xlim()  # which include the errors of all marks
-        axes.set_xlim(min(-0.02, low), max(1.02, high))
-    axes.set_xlabel(effect)
+        axes.set_xlim(right=max(1.02, axes.get_xlim()[1]))  # of the whole variance, and of the errors of all marks
+    axes.set_xlabel(style.label(one[kinds[0]].assign_attrs(symbol=effect), kinds[0]))
     return figure
 
 

@@ -332,8 +332,8 @@ def with_scales(dataset: xr.Dataset, log: Sequence[str] = (), linear: Sequence[s
 
     Raises SweepError for a name that has no numbers here or is in both, and for a study whose choice cannot be read.
     """
-    numbers = {str(name): array for name, array in dataset.variables.items() if array.dtype.kind in "if"}
-    known = [name for name, array in numbers.items() if not formatting.is_truth(array)]
+    numbers = [str(name) for name, array in dataset.variables.items() if array.dtype.kind in "if"]
+    known = [name for name in numbers if not formatting.is_truth(dataset[name])]
     if wrong := [name for name in (*log, *linear) if name not in known]:
         raise SweepError(f"{shown(wrong[0])} has no scale to choose{suggest(wrong[0], known)}")
     if both := set(log) & set(linear):

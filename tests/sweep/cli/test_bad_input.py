@@ -232,7 +232,7 @@ COMMANDS = [
     *((f"run grid --events decay.zarr/{name}", "lies inside the store") for name in ("zarr.json", "e.jsonl")),
     *(("new taken.toml", "taken.toml: exists already"), ("new ../up", "'../up' is no name for a study")),
     *(("new fine no.such:thing", "no.such"), ("new fine math:tau", "math:tau")),
-    ("plot STORE --kind map", "a map needs two axes that are crossed, of coins; not coins"),
+    ("plot STORE --kind map", "a map needs two axes of numbers that are crossed, not coins; there are coins"),
     ("plot STORE --over length", "share cannot be drawn along length; its axes are"),
     ("plot STORE -o coins.bmp", "coins.bmp: cannot draw there: the name must end with .png, .svg, .pdf"),
     ("plot STORE --kind sky", "no sky and no accuracy here: only studies of the link"),
