@@ -34,7 +34,7 @@ EPOCH, SAME_EPOCH_YR = "ref_epoch", 0.01
 # Parameters that act on proper motions alone.
 OF_MOTIONS = (
     *("zonal_pm", "motion_field", "motion_field_size", "omega_slope", "omega_slope_size"),
-    *("magnitude_equation_pmra", "magnitude_equation_pmdec", "aberration", "glide"),
+    *("magnitude_equation_pmra", "magnitude_equation_pmdec", "aberration", "glide", "solve_glide"),
 )
 
 # Share of the weight of all objects above which an object is named.
@@ -100,8 +100,6 @@ def _errors_problem(point: Point, errors: Array) -> str | None:
         if not is_inside:
             described = f"errors of {extreme(position):.3g} mas and {extreme(motion):.3g} mas/yr"
             return f"{described}: must be from {SMALLEST_ERROR:g} to {LARGEST_ERROR:g}"
-    if point["solve_glide"] and not motion.any():
-        return "solve_glide: the proper motions have no errors on either side, so they are not measured"
     return None
 
 

@@ -908,8 +908,10 @@ def _reweighted(sources: Sources, weigh: Callable[[Array, Flags], Array | Flags]
     trajectory, notes, seen = [sources.solve(used)], list[str](), {hash(used.tobytes())}
     for _ in range(ITERATIONS):
         new = weigh(_normalised(sources, trajectory[-1], used), used)
-        if np.allclose(new, factors, rtol=0.0, atol=1e-12):
+        change = np.subtract(new, factors, dtype=np.float64)
+        if np.max(np.abs(change, out=change)) < 1e-12:
             break
+        del change  # of millions of sources
         factors = new
         trajectory.append(sources.solve(factors))
         if (mark := hash(factors.tobytes())) in seen:
