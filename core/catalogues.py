@@ -346,9 +346,7 @@ class Quasars(CatalogueKind):
 
     def problem(self, point: Point) -> str | None:
         """Return a problem unless there are enough quasars between limits within the counts."""
-        if point["v_min"] is not None and (problem := _in_limits(*self.magnitudes(point))):
-            return problem
-        return _too_few(point, self.available(point), "quasars")
+        return _in_limits(*self.magnitudes(point)) or _too_few(point, self.available(point), "quasars")
 
     def is_nested(self, point: Point) -> bool:
         """Return whether the limit is one of the paper's, and all objects are taken."""

@@ -410,7 +410,7 @@ def group_sums(
     for part in _blocks(len(group), GATHERED):
         objects, years, left = problem.sources(part)
         here = group[part].astype(short)
-        if factors is not None and not np.all(factors[part] == 1.0):
+        if factors is not None and not np.all(factors[part] == 1.0):  # those left out are a last group, of no sums
             left, here = left.scaled(factors[part]), np.where(factors[part] > 0.0, here, short.type(left_out))
         if np.any(here[1:] < here[:-1]):  # sorted after the elimination, when there is less to move
             order = np.argsort(here, kind="stable")

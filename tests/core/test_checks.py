@@ -40,7 +40,7 @@ POSSIBLE = [
     PROJECTED | {"solve_glide": True, "weighting": "equal", "reference_errors": "normal"},
 ]
 PROBLEMS = [
-    (QUASARS | {"v_max": 12.0}, "v_max = 12 mag is outside the quasar counts"),
+    (QUASARS | {"v_max": 12.0}, "v_max = 12 mag: must be fainter than"),
     (QUASARS | {"n_obj": 89, "v_max": 15.0}, "n_obj = 89: only 88 quasars are brighter than v_max"),
     (QUASARS | {"n_obj": 6011, "v_min": 17.0, "v_max": 17.5, "counts": "completed"}, "only 6010 quasars"),
     *(({"n_obj": None}, "n_obj: "), ({"v_max": 5.0}, "v_max = 5 mag: ")),
