@@ -258,7 +258,7 @@ def ratio_at(
         at_one, at_other, both = (dataset.isel(pair)[name].transpose(*dims).values / below**2 for pair in pairs)
         variance = at_one + ratio**2 * at_other - 2.0 * ratio * both
         variance = np.maximum(0.0, variance * small_sample_factor(samples_along(dataset, variable, dimension)))
-    elif shares_random_numbers(dataset, differing) and variance.any():
+    elif shares_random_numbers(dataset, differing) and standard_error(dataset, variable) is not None:
         variance = np.nan * variance
     return ratio, np.sqrt(variance)
 
