@@ -701,6 +701,7 @@ def apply(
         raw, where, digest = read_table(path), str(path), files.digest_of(path)
     how = files.as_read(link.attrs, raw, digest, asked)
     whole = astrometric_table(raw, where, digest, how)
+    whole.require_positions()
     stars = whole.astrometry
     notes = [*_notes(link, stars, inverse, where), *(note for note in whole.notes if "unit" in note)]
     read = Columns(raw, where, how.columns, how.units, QUANTITIES)
@@ -741,8 +742,6 @@ def _notes(link: xr.Dataset, stars: Astrometry, inverse: bool, path: str) -> lis
         said = f"epoch {stars.epoch[other[0]]:g} in {named_rows(other)}, and the link is of {epochs}"
         raise SweepError(f"{said}: the frame of another release is another one", path)
     there = np.isfinite(stars.values)
-    if len(without := np.flatnonzero(~there[:2].all(axis=0))):
-        raise SweepError(f"no position in {named_rows(without)}", path)
     if len(half := np.flatnonzero(there[3] != there[4])):
         raise SweepError(f"only one coordinate of the motion in {named_rows(half)}", path)
     frames = "reference to the satellite" if inverse else "satellite to the reference"

@@ -194,8 +194,7 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
         raise SweepError("models and orbits are of stars with epoch astrometry: give its files as epochs")
     left = read_table(Path(satellite), how["satellite"])
     n = len(left.astrometry)
-    if len(without := np.flatnonzero(~np.isfinite(left.astrometry.values[:2]).all(axis=0))):
-        raise SweepError(f"each source needs a position, and there is none in {named_rows(without)}", left.path)
+    left.require_positions("; each source needs one")
     notes, epochs = [*left.notes], None
     if options.epochs:
         observed = list(dict(options.epochs).values())
@@ -403,8 +402,7 @@ def _by_position(satellite: AstrometricTable, reference: AstrometricTable, radiu
     if isinstance(radius, str) or not 0.0 < radius <= 3600.0:
         raise SweepError(f"match by position:{radius_text}: the radius must be above 0 and at most 3600 arcsec")
     sources, rows = satellite.astrometry, reference.astrometry
-    if len(without := np.flatnonzero(~np.isfinite(rows.values[:2]).all(axis=0))):
-        raise SweepError(f"match by position: no position in {named_rows(without)}; match by name", reference.path)
+    reference.require_positions("; match by name")
     chord = 2.0 * np.sin(0.5 * radius * ARCSEC)
     place, second = np.full((2, len(rows)), -1)
     epochs = np.where(np.isfinite(rows.epoch), rows.epoch, np.inf)
@@ -704,8 +702,7 @@ class RowGroup:
         where = f"{self.path}, the {len(table)} rows from row {self.first + 1} on"
         options, checked = table_options(self.options)["satellite"], bool(np.isfinite(self.epoch))
         rows = astrometric_table(table, where, self.digest, options, checked)
-        if not np.all(np.isfinite(rows.astrometry.values[:2])):
-            raise SweepError("sources without a position", where)
+        rows.require_positions()
         return rows
 
 

@@ -143,6 +143,11 @@ class AstrometricTable:
         """The names of the rows (N,): those of the first column of names, else numbers from 1."""
         return next(iter(self.names.values()), np.arange(1, len(self.astrometry) + 1).astype(np.str_))
 
+    def require_positions(self, hint: str = "") -> None:
+        """Raise SweepError, with a hint, that names the rows without a position."""
+        if len(without := np.flatnonzero(~np.isfinite(self.astrometry.values[:2]).all(axis=0))):
+            raise SweepError(f"no position in {core.named_rows(without)}{hint}", self.path)
+
 
 def read_table(path: Path, options: TableOptions | None = None) -> AstrometricTable:
     """Return the astrometry of a file, or of a built-in table by name (icrf2, icrf3, psrpi ...).
