@@ -78,7 +78,7 @@ def test_sources_within_the_radius_and_leftovers_are_named(tmp_path):
     assert said(link, "1 of 11 rows of other.ecsv match no source: S11")
 
 
-def test_raw_hip2_is_recognised_with_and_without_its_readme(tmp_path):
+def test_raw_hip2_is_recognised_whatever_its_readme_says(tmp_path):
     rng = np.random.default_rng(4)
     made, wanted = stars(8), random_correlations(rng, 8)
     matrix = replace(made, errors=np.ones((5, 8)), correlations=wanted).covariance()[:, :5, :5]
@@ -90,6 +90,7 @@ def test_raw_hip2_is_recognised_with_and_without_its_readme(tmp_path):
     lines = [HIP2.format(k, *row[:2], *(row[2:] / MAS), *errors, *element) for k, (row, errors, element) in each]
     assert set(map(len, lines)) == {276}
     (tmp_path / "hip2.dat").write_text("\n".join(lines) + "\n")
+    (tmp_path / "ReadMe").write_text("Byte-by-byte Description of file: hip2.dat\n")  # which astropy cannot follow
     read = read_table(tmp_path / "hip2.dat")
     np.testing.assert_allclose(read.astrometry.values[:2], made.values[:2], atol=1e-10)
     np.testing.assert_allclose(read.astrometry.values[2:], made.values[2:], atol=0.006 * MAS)
@@ -97,13 +98,6 @@ def test_raw_hip2_is_recognised_with_and_without_its_readme(tmp_path):
     np.testing.assert_allclose(read.astrometry.correlations, wanted, atol=2e-3)
     assert set(read.astrometry.epoch) == {1991.25}
     assert next(iter(read.names.values())).tolist() == [str(k + 1) for k in range(8)]
-    rule, form = "-" * 80, "   1-  6  I6    ---      HIP     Identifier\n 172-276 15F7.2 ---      UW      Weights"
-    units = "   Bytes Format Units    Label   Explanations"
-    readme = ["Byte-by-byte Description of file: hip2.dat", rule, units, rule, form, rule]
-    (tmp_path / "ReadMe").write_text("\n".join(readme) + "\n")
-    np.testing.assert_array_equal(
-        read_table(tmp_path / "hip2.dat").astrometry.correlations, read.astrometry.correlations
-    )
     (tmp_path / "cut.dat").write_text("\n".join([*lines[:2], lines[2][:200], *lines[3:]]))
     with pytest.raises(linksweep.SweepError, match="no such row in line 3"):
         read_table(tmp_path / "cut.dat")
