@@ -5,6 +5,7 @@ import numpy as np
 from linksweep.sweep.contract import Experiment, Output, Parameter
 
 SCATTER = 0.3  # catalogues differ in the logarithm of their scale by so much, a normal deviate
+MEAN_SQUARE = np.exp(2.0 * SCATTER**2)  # mean of the squared scale
 
 
 def variance(law, x):
