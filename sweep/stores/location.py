@@ -43,9 +43,9 @@ AT_ONCE = 16
 # How long a request to a bucket is tried again after dropped connections and errors of the server.
 TIMEOUT = timedelta(seconds=15)
 
-# Endpoints to which a request was tried again for so long, until when no other is tried, and why: a run that stops does
-# not wait for each of its last requests.
-DOWN: dict[str, tuple[float, str]] = {}
+# Settings with which a request was tried again for so long, until when no other is tried, and why: a run that stops
+# does not wait for each of its last requests.
+DOWN: dict[frozenset[tuple[str, str]], tuple[float, str]] = {}
 
 # The process that has made requests: a fork of it has none of obstore's threads, and would wait for ever.
 USED_BY: set[int] = set()
@@ -428,7 +428,7 @@ class Bucket:
             is_refused = isinstance(error, exceptions.PermissionDeniedError | exceptions.UnauthenticatedError)
             why, ended = _explained(str(error), is_refused), time.monotonic()
             if ended - begun > TIMEOUT.total_seconds() * 0.8:
-                DOWN[_endpoint()] = ended + TIMEOUT.total_seconds(), why
+                DOWN[_settings()] = ended + TIMEOUT.total_seconds(), why
             raise OSError(why) from error
 
 
@@ -448,8 +448,12 @@ def _explained(text: str, is_refused: bool) -> str:
 def _given_up() -> str:
     if USED_BY - {os.getpid()}:
         return "a fork of a process that has used a bucket cannot use one"
-    until, why = DOWN.get(_endpoint(), (0.0, ""))
+    until, why = DOWN.get(_settings(), (0.0, ""))
     return why if time.monotonic() < until else ""
+
+
+def _settings() -> frozenset[tuple[str, str]]:
+    return frozenset((name, value) for name, value in os.environ.items() if name.startswith("AWS_") and value)
 
 
 def _endpoint() -> str:
