@@ -41,6 +41,9 @@ CONNECT_TIMEOUT_S = 10
 # An adaptive cluster has as many workers as the tasks in flight would keep busy for this time; tasks are short.
 ADAPT_WITHIN = "500ms"
 
+# Seconds that workers get to finish when a run is stopped.
+CLOSE_S = 0.5
+
 # Seconds between two looks whether a cluster has lost workers.
 REPLACE_EVERY_S = 5
 
@@ -97,10 +100,16 @@ def dask_workers(reference: str, resources: Resources, say: Callable[[str], None
         driver = DaskDriver(client, words, reference, resources.limits, say)
         stack.callback(driver.cancel)
         driver.prepare()
-        link = ""
-        with suppress(KeyError):  # of a scheduler that has none
-            link = client.dashboard_link
-        yield Place(f"on {words}", dashboard=link), driver
+        yield Place(f"on {words}", dashboard=_link(client)), driver
+
+
+def _link(client: Client) -> str:
+    """Return the address of a client's dashboard, empty if there is none: the scheduler needs bokeh for it."""
+    try:
+        client.run_on_scheduler(importlib.import_module, "bokeh")
+    except Exception:  # also a scheduler that runs nothing for clients
+        return ""
+    return str(client.dashboard_link or "")
 
 
 @contextmanager
@@ -220,6 +229,7 @@ def own_cluster(kind: Any, options: Mapping[str, Any]) -> Iterator[Any]:
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", "Creating scratch directories is taking")  # even our own, if it is busy
             cluster = stack.enter_context(_started(lambda: kind(**{**defaults, **options})))
+        stack.enter_context(_prompt_end(cluster))
         stack.enter_context(_lost_workers_replaced(cluster))
         yield cluster
 
@@ -244,6 +254,22 @@ def _started(make: Callable[[], Any]) -> Any:
             with suppress(Exception):
                 made.result().close()  # the pool would wait for it, too
             raise
+
+
+@contextmanager
+def _prompt_end(cluster: Any) -> Iterator[None]:
+    """Do not wait for blocks under way where an exception ends the run: nobody will take their results."""
+
+    async def close_workers() -> None:
+        await asyncio.gather(*(worker.close(timeout=CLOSE_S) for worker in cluster.workers.values()))
+
+    try:
+        yield
+    except BaseException:
+        if isinstance(cluster, LocalCluster):
+            with suppress(TimeoutError):
+                cluster.sync(close_workers)
+        raise
 
 
 @contextmanager

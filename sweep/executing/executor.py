@@ -31,9 +31,13 @@ from linksweep.sweep.code import new_process, provide, sendable
 from linksweep.sweep.contract import SweepError, refused
 from linksweep.sweep.executing import worker
 from linksweep.sweep.executing.pools import NO_LIMITS, Limits, Place, Resources, available_cores
-from linksweep.sweep.executing.task import AnyJob, Call, Executor, Failure, Identity, Task, TaskResult
+from linksweep.sweep.executing.task import AnyJob, Call, Executor, Failure, Identity, PointBlock, Task, TaskResult
 from linksweep.sweep.interrupt import SIGNALS
 from linksweep.sweep.studies.study import Study
+
+# Seconds of a first call above which the second, which shows whether it returns the same, is made by a further child:
+# it would delay what one of few has to do.
+BESIDE_S = 0.2
 
 # How often a block may end its child, when it is known which block it was.
 TRIES = 2
@@ -87,21 +91,26 @@ class Children:
             with suppress(ValueError, OSError):  # then it is said where one does not start
                 resource.setrlimit(resource.RLIMIT_NOFILE, (min(most, hard) if hard >= 0 else most, hard))
         self._limits, forked = limits, forked and _may_be_forked()
-        self._children = [_Child(forked, limits.memory, expected) for _ in range(number)]
+        self._new = partial(_Child, forked, limits.memory, expected)
+        self._children = [self._new() for _ in range(number)]
+        self._second: _Child | None = None  # makes a first call again, beside the others
 
     def __enter__(self) -> "Children":
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_error: object) -> None:
         end = time.monotonic() + (END_S if kind is None else 0.0)
-        for child in self._children if kind is None else ():
+        children = [*self._children, *filter(None, [self._second])]
+        for child in children if kind is None else ():
             child.send(None)  # one that waits for a task cleans up and ends
-        for child in self._children:
+        for child in children:
             child.end(end - time.monotonic())
 
     def __call__(self, take: Callable[[int], Sequence[AnyJob]]) -> Iterator[tuple[AnyJob, Any]]:
         """Compute everything that ``take`` gives."""
-        return self._results(lambda count: [(job, job.task(self._limits)) for job in take(count)])
+        return self._results(
+            lambda count: [(job, replace(job.task(self._limits), at_once_s=BESIDE_S)) for job in take(count)]
+        )
 
     def run(self, task: Task) -> TaskResult:
         """Compute one task."""
@@ -125,9 +134,17 @@ class Children:
                 while busy:
                     for child in self._that_answer(busy):
                         trial = child.take()
+                        if trial.again is not None and self._second is None:  # once in a run is enough
+                            self._second = self._new()
+                            busy[self._second] = busy[child]
+                            self._second.begin(trial.again)
                         if not trial.ended:
                             continue
                         job, result = busy.pop(child), trial.result()
+                        if child is self._second:
+                            if result.refused:
+                                yield job, result
+                            continue
                         if len(self._children) > 1:  # of several none waits while a result is used; one may be the last
                             begin(child)
                         yield job, result
@@ -156,13 +173,15 @@ class _Trial:
     """A task on its way through children: the ``units`` that have no result yet, and the ``results`` of those before.
 
     ``careful`` is a task of which a child has died, so that each result is to be sent at once: else nobody knows how
-    far it came.  ``inside`` counts the points that are left of a unit which was taken apart.
+    far it came.  ``inside`` counts the points that are left of a unit which was taken apart.  ``again`` is the task of
+    making its first call once more.
     """
 
     def __init__(self, task: Task) -> None:
         self.task = task
         self.units, self.results = deque(task.units), list[TaskResult]()
         self.careful, self.ended = task.time_limit_s is not None, False
+        self.again: Task | None = None
         self.inside = self._deaths = 0
 
     def rest(self) -> Task:
@@ -174,10 +193,14 @@ class _Trial:
         self._deaths = 0
         for result in results:
             self.results.append(result)
-            rows = len(result.seconds)
+            units, rows = list[PointBlock](), len(result.seconds)
             self.inside = max(0, self.inside - rows)
             while rows > 0:
-                rows -= len(self.units.popleft().points)
+                units.append(self.units.popleft())
+                rows -= len(units[-1].points)
+            if result.again:
+                done = tuple(units[row] for row in result.outcomes)
+                self.again = replace(self.task, units=done, first=tuple(result.outcomes.values()))
 
     def after_death(self, death: Failure) -> None:
         """Find out which point has ended a child, and give that up after so many `TRIES`.

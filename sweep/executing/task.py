@@ -98,7 +98,8 @@ class Task:
     ``enough_s`` seconds, if that is more than `sweep.executing.worker.ENOUGH_S`, a worker returns what it has.
     ``time_limit_s`` is for a block of one point; with it the process must be one that may be ended.  A
     ``repeatable`` experiment is to return the same results whenever it is called: it is called again at its first
-    point.  With ``caught`` false what it raises is raised, and what it prints is printed.  ``keep`` takes all
+    point, by the same process only where that took at most ``at_once_s`` seconds, else by one that gets the ``first``
+    results.  With ``caught`` false what it raises is raised, and what it prints is printed.  ``keep`` takes all
     outcomes, to write what is large, before they are sent.  With a ``function`` there is one unit without parameters,
     and its row is what that returns and None, or None and what it raises.  ``errors`` of NumPy and ``decimals`` are
     treated as in the thread of the run, since each thread has its own setting.
@@ -112,6 +113,8 @@ class Task:
     source_digest: str | None = None
     enough_s: float = 0.0
     repeatable: bool = False
+    at_once_s: float = float("inf")
+    first: tuple[Outcome, ...] = ()
     caught: bool = True
     keep: Keep = dict
     function: Callable[[], Any] | None = None
@@ -184,7 +187,8 @@ class TaskResult:
 
     By the number of a row, ``outcomes`` has what its block left, ``failures`` the reason why it could not be computed,
     and ``said`` what was printed in the unit whose first row it is.  ``cold`` says that the first row was the first
-    call in its process, which may include imports; ``refused`` why no result of this experiment is to be used, or ''.
+    call in its process, which may include imports; ``refused`` why no result of this experiment is to be used, or '';
+    ``again`` that another process is to make the second call at its points.
     """
 
     seconds: NDArray[np.float64]
@@ -193,6 +197,7 @@ class TaskResult:
     said: dict[int, Captured] = field(default_factory=dict)
     cold: bool = False
     refused: str = ""
+    again: bool = False
 
     @classmethod
     def failed(cls, rows: int, reason: Failure) -> "TaskResult":

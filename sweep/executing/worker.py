@@ -12,6 +12,7 @@ import signal
 import sys
 import threading
 import time
+import traceback
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext, suppress
@@ -157,9 +158,16 @@ def undisturbed(task: Task, seed: int) -> Iterator[None]:
     try:
         with np.errstate(**task.errors), decimal.localcontext(task.decimals):
             yield
+    except BaseException as error:
+        if os.getpid() != parent:  # as Python ends: with the code of `sys.exit`, or with 1 and a traceback
+            code = error.code if isinstance(error, SystemExit) else 1
+            if not isinstance(error, SystemExit):
+                traceback.print_exception(error, file=sys.__stderr__)
+            os._exit(0 if code is None else code if isinstance(code, int) else 1)
+        raise
     finally:
         if os.getpid() != parent:  # it would go on with the run beside its parent
-            os._exit(1)
+            os._exit(0)
         _routes.restore()
 
 
@@ -311,6 +319,10 @@ def run_units(task: Task, deadlines: Deadlines, apart: bool = False) -> Iterator
         yield _returned(task.function, task.time_limit_s, deadlines)
         return
     begun, computing = time.monotonic(), _Computing(task, deadlines)
+    if task.first:
+        with _routes.capturing():  # what a second call says was said by the first
+            yield TaskResult(np.zeros(0), refused=computing.how_calls_differ(task.units, task.first))
+        return
     caller = computing.who, threading.get_ident()
     for result in computing.results(apart):
         result.cold = caller not in _called and float(result.seconds[0]) < IMPORTS_S
@@ -434,12 +446,18 @@ class _Computing:
         return outcomes
 
     def _repeat(self, units: Sequence[PointBlock], result: TaskResult) -> None:
-        """Call a repeatable function again at the points of some units, and say in their result if it then differs."""
-        is_short = float(result.seconds.sum()) <= LONGEST_S
-        if self.task.repeatable and result.outcomes and self.who not in _agreed and is_short:
-            result.refused = self._how_calls_differ([units[k] for k in result.outcomes], [*result.outcomes.values()])
+        """Call a repeatable function again at the points of some units, and say in their result if it then differs, or
+        that another process is to do so.
+        """
+        seconds = float(result.seconds.sum())
+        if not self.task.repeatable or not result.outcomes or self.who in _agreed or seconds > LONGEST_S:
+            return
+        if seconds > self.task.at_once_s:
+            result.again = True
+        else:
+            result.refused = self.how_calls_differ([units[k] for k in result.outcomes], [*result.outcomes.values()])
 
-    def _how_calls_differ(self, units: Sequence[PointBlock], first: Sequence[Outcome]) -> str:
+    def how_calls_differ(self, units: Sequence[PointBlock], first: Sequence[Outcome]) -> str:
         """Call the function again at the points of some units; return a sentence if it then gives other results than
         the ``first``, or raises an exception, '' if it gives the same.
         """
@@ -453,6 +471,8 @@ class _Computing:
         if isinstance(again, BaseException):
             how = f"and then raises {type(again).__name__}"
         else:
+            # What is large of the first results was written before they were sent here.
+            again = [*self.task.keep(dict(enumerate(again))).values()] if self.task.first else again
             how = next(filter(None, map(_difference, first, again)), "")
         if not how:
             _agreed.add(self.who)

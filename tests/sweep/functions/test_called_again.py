@@ -59,8 +59,10 @@ def test_so_it_is_where_a_call_takes_a_good_part_of_a_second(tmp_path, pool, las
     with pytest.raises(SweepError, match=r"called twice at x = \d"):
         run(late, tmp_path / "s.zarr", axes={"x": range(1, last + 1)}, pool=pool)
     assert not (tmp_path / "s.zarr").exists()
-    ds = run(lambda x: time.sleep(0.3) or x, tmp_path / "t.zarr", axes={"x": [1, 2, 3]}, pool=pool)
+    f = experiment()(lambda x: (time.sleep(0.3), (tmp_path / uuid.uuid4().hex).touch(), x)[2])
+    ds = run(f, tmp_path / "t.zarr", axes={"x": [1, 2, 3]}, pool=pool)
     assert ds.result.values.tolist() == [1, 2, 3]
+    assert pool == "threads" or len([*tmp_path.iterdir()]) == 5  # once in a run, not in each process
 
 
 @pytest.mark.parametrize("kind", few(4, [*SAME][::-1]))
