@@ -658,13 +658,15 @@ def power_law(x: Array, y: Array, errors: Array, samples: float = np.inf) -> dic
     relative, known = _relative_covariance(y, errors)
     whiten, covariance = _weigh(relative, samples)
     ones, u, v = whiten(np.ones_like(x)), whiten(np.log(x)), whiten(np.log(y))
-    centre = ones @ u / (ones @ ones)
-    design = np.stack([u - centre * ones, ones], axis=1)  # about the centre the two are not correlated
-    solve = np.linalg.pinv(design)
-    exponent, mean = solve @ v
+    total = ones @ ones
+    centre, mean = ones @ u / total, ones @ v / total
+    u, v = u - centre * ones, v - mean * ones  # about the centre, amplitude and exponent are not correlated
+    information = u @ u
+    exponent = u @ v / information
     dof = len(x) - 2
-    chi2 = _chi2(v - design @ (exponent, mean), design, covariance, relative, samples)
+    chi2 = _chi2(v - exponent * u, np.stack([ones, u], axis=1), covariance, relative, samples)
     unit = 1.0 if known else chi2 / dof if dof > 0 else 0.0
+    solve = np.stack([u / information, ones / total])
     spread = unit * float(small_sample_factor(samples)) * solve @ covariance @ solve.T
     exponent_error, relative_error = np.sqrt(np.diag(spread).clip(min=0.0))  # 0 but for rounding where all is shared
     both = exponent_error * relative_error
