@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.sweep.contract import FEW, FEWEST_SAMPLES, Array, Status, SweepError, refused, shown, suggest
-from linksweep.sweep.contract.rows import LENGTH, beyond_floats, count_status, small_sample_factor, unfinished_in_words
+from linksweep.sweep.contract.rows import LENGTH, count_status, small_sample_factor, unfinished_in_words
 from linksweep.sweep.formatting import ERRORS, RAGGED, first_of, is_missing, is_truth, plain, prefixed, units_of
 from linksweep.sweep.planning.grid import Grid, GridPoint
 from linksweep.sweep.stores.store import RUNNING, finished
@@ -111,10 +111,13 @@ def require_quantity(dataset: xr.Dataset, variable: str) -> None:
 
 
 def numbers(dataset: xr.Dataset, name: str) -> xr.DataArray:
-    """Return a variable as floats, to compute with; raises SweepError for integers beyond 2**53."""
-    if dataset[name].dtype.kind in "iu" and (lost := beyond_floats(dataset[name].values)) is not None:
-        raise SweepError(f"{name} is {lost}, beyond 2**53: return it less a number that is near, or as a float")
-    return dataset[name].astype(float)
+    """Return a variable as floats, to compute with; raises SweepError for integers, beyond 2**53, that none is."""
+    values, floats = dataset[name].values, dataset[name].astype(float)
+    beyond = values[np.abs(floats.values) >= 2.0**53].tolist() if values.dtype.kind in "iu" else []
+    if lost := [number for number in beyond if number != float(number)]:
+        remedy = "return it less a number that is near, or as a float"
+        raise SweepError(f"{name} is {lost[0]}, beyond 2**53 and no float: {remedy}")
+    return floats
 
 
 def standard_error(dataset: xr.Dataset, variable: str) -> xr.DataArray | None:
@@ -483,8 +486,10 @@ def is_meant(value: object, wanted: Any) -> bool:
             return bool(value == np.datetime64(wanted))
         if isinstance(value, bool) and isinstance(wanted, str):
             return wanted.lower() == str(value).lower()
-        is_read = isinstance(wanted, str) and not isinstance(value, str)
-        return bool(Decimal(str(value)) == Decimal(wanted) if is_read else value == wanted)  # no float is beyond 2**53
+        if isinstance(wanted, str) and not isinstance(value, str):
+            # a float may be written with 17 digits; an integer beyond 2**53 is no float
+            wanted = float(wanted) if isinstance(value, float) else Decimal(wanted)
+        return bool(value == wanted)
     return False
 
 

@@ -102,12 +102,12 @@ def lost_integers(rows: Rows, dtype: np.dtype[np.void]) -> dict[int, str]:
             whole = rows[name].reshape(len(rows), -1)
             for row in np.flatnonzero(_beyond(whole).any(axis=1)).tolist():
                 number = beyond_floats(whole[row])
-                lost[row] = f"{name!r} is {number}, which is beyond 2**53, and no float holds it"
+                lost[row] = f"{name!r} is {number}, which is beyond 2**53, and is to be a float"
     return lost
 
 
 def beyond_floats(value: Any) -> int | None:
-    """Return the first of some integers that no float holds exactly, None where there is none."""
+    """Return the first of some integers beyond 2**53, not all of which are floats; None where there is none."""
     whole = np.asarray(value).reshape(-1)
     wrong = _beyond(whole)
     return int(whole[wrong][0]) if wrong.any() else None

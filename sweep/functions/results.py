@@ -201,7 +201,7 @@ def as_row(outcome: Outcome, expected: Layout, function: str) -> Any:
     """Return the fields of a result that has no `differences` in the order, with the floats and the lengths, of a
     layout.
 
-    Raises ResultError of a function where an integer is too large to be a float.
+    Raises ResultError, with the name of the function, where an integer is too large to be a float.
     """
     layout: Layout = outcome.layout
     if layout == expected and not layout.ragged:
@@ -210,7 +210,7 @@ def as_row(outcome: Outcome, expected: Layout, function: str) -> Any:
     for field in expected.fields:
         kind, value = values[field.name]
         if field.type == "float" and kind == "int" and (large := beyond_floats(value)) is not None:
-            raise ResultError(f"{function}: {field.name!r} is {large}, which is beyond 2**53, and no float holds it")
+            raise ResultError(f"{function}: {field.name!r} is {large}, which is beyond 2**53, and is to be a float")
     return tuple(
         padded(values[field.name][1], expected.shape(field)) if field.name in expected.ragged else values[field.name][1]
         for field in expected.fields

@@ -100,6 +100,9 @@ def test_truth_values_and_integers_have_crossings_and_values_between():
         assert np.isnan(found["first_error"].values).all()  # there is none, and none is made of the type
     assert interpolate(dataset, "count", "n", 100.0)["count"].values == pytest.approx(100.0)
     assert ratio(dataset, "flag", "n", of=100.0, to=300.0)["ratio"].values == pytest.approx(1.0)
+    exact = dataset.assign(count=2**58 * (dataset["count"] // 10))  # beyond 2**53, and floats
+    assert fit_power_law(exact, "count", "n")["exponent"].values == pytest.approx(1.0)
+    assert not fit_power_law(grid(np.full(5, 3.0)), "width", "n")["exponent"].values.any()
 
 
 @settings(max_examples=examples(100))

@@ -63,7 +63,7 @@ def test_a_value_of_an_axis_is_shown_so_that_it_can_be_told_from_others_and_chos
     assert np.abs(np.array(texts, dtype=float) - x).max() <= step / 50.0
     assert max(map(len, texts)) <= (18 if unevenness else len(f"{start:.3f}") + 7)
     for text, value in zip(texts, x, strict=True):
-        assert select(dataset, {"n": text})["n"].item() == value
+        assert all(select(dataset, {"n": one})["n"].item() == value for one in (text, f"{value:.17g}"))
 
 
 def lit(jd: float, w: float = 1.0):
