@@ -76,7 +76,7 @@ def answers(
         meaning = formatting.meaning_beside(variable, dataset[variable].attrs)
         values = dataset[variable].values.astype(float, copy=False)
         low, high = (end.reduce(values, axis=None) for end in (np.fmin, np.fmax))
-        if made and variable not in first and values.size > 1 and low == high:
+        if variables is None and made and variable not in first and values.size > 1 and low == high:
             continue  # a number that is the same everywhere answers nothing
         if errors := quantity.errors_beside(dataset, variable):
             made.append(Answer(variable, meaning, [_with_errors(dataset, variable, errors)]))

@@ -68,7 +68,7 @@ def draw_figure(
     axis of curves, the two axes of a map, or the two components of a scatter.  ``log`` and ``linear`` are axes and
     quantities with such a scale, by default as the study says or as the spacing of their values suggests.
     A link or a forecast has its own kinds.
-    Raises SweepError for a kind that the dataset cannot have, naming those that it can.
+    Raises SweepError for a kind that the dataset cannot have, which says what it lacks.
     """
     result = Result(dataset)
     if result.kind == "grid":
@@ -787,11 +787,11 @@ def _draw_curves(axes: Axes, dataset: xr.Dataset, variable: str, over: str) -> N
 def _parameters(dataset: xr.Dataset, over: Sequence[str], most: int) -> list[str]:
     """Return the parameters asked for, or all in which the points differ; raises SweepError for more than ``most``."""
     known = quantity.varied_parameters(dataset)
+    if not known:
+        raise SweepError("there are no points of a table or a design that differ in a parameter")
     if unknown := [name for name in over if name not in known]:
         raise SweepError(f"the points do not differ in {shown(unknown[0])}{suggest(unknown[0], known)}")
     chosen = list(over) or known
-    if not chosen:
-        raise SweepError("there are no points of a table or a design that differ in a parameter")
     if len(chosen) > most:
         listed = ", ".join(chosen)
         raise SweepError(f"{len(chosen)} parameters are too many for one picture of {most}: choose --over, {listed}")

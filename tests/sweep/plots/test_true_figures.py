@@ -238,6 +238,8 @@ def test_a_caption_has_the_signs_that_are_drawn_and_symbols_as_they_are(known):
     text = style.caption_and_description(linksweep.plot(ds), ds)
     assert ("errors of the predictions" in text) == known
     assert (text[:26], "y against x." in text) == ("5 $_a to 10 $; cut = 2.5. ", True)
+    ds["z"] = ds["y"].copy(data=np.full(3, 7.0))
+    assert "z: It is 7 at 3 points" in style.caption_and_description(linksweep.plot(ds, variables=["y", "z"]), ds)
 
 
 def test_labels_that_are_no_names_say_of_which_axis_they_are(tmp_path):
