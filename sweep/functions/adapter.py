@@ -301,8 +301,10 @@ def _problems_of_outputs(outputs: Sequence[Output], made: "FunctionExperiment") 
             texts.append("statistics are made of realisations, and the function takes no rng")
         if output.ragged and made.rng:
             texts.append("ragged: statistics of realisations need one length at all points")
-        elif output.ragged not in (False, len(dims) < 2, *dims):
-            texts.append(f"ragged = {shown(output.ragged)}: must be one of its dims ({', '.join(dims)})")
+        elif output.ragged is True and len(dims) > 1:
+            texts.append(f"ragged = True: say along which of its dimensions, such as ragged={dims[-1]!r}")
+        elif output.ragged not in (False, True, *dims):
+            texts.append(f"ragged = {shown(output.ragged)}: must be True, or one of its dims ({', '.join(dims)})")
         elif output.ragged in coords or (output.ragged is True and coords):
             texts.append("ragged: values along such a dimension are numbered; return its coordinate as another output")
         if not all(isinstance(dim, str) for dim in dims) or len(set(dims)) < len(dims):
