@@ -57,7 +57,7 @@ class Interruptions:
 
     def __init__(self) -> None:
         self.received: int | None = None
-        self._holding = self._owed = False
+        self._holding = self._owed = self._is_over = False
 
     @contextmanager
     def postponed(self) -> Iterator[None]:
@@ -82,14 +82,15 @@ class Interruptions:
             try:
                 yield
             finally:
-                self._holding = True  # no alarm raises anything from here on
+                # No alarm raises anything from here on, and none is set: SIGALRM would end the process.
+                self._holding = self._is_over = True
                 if self.received is not None:
                     signal.setitimer(signal.ITIMER_REAL, 0.0)
                 if sys.unraisablehook == self._unraisable:
                     sys.unraisablehook = self._unraisable_before
 
     def _answer(self, number: int, _frame: FrameType | None) -> None:
-        if self.received is not None:
+        if self.received is not None or self._is_over:
             signal.signal(number, self.before.pop(number))
             signal.raise_signal(number)
             return

@@ -87,7 +87,7 @@ def parsed(parse: Callable[[str], Any]) -> Any:
             return None
         try:
             return parse(value)
-        except (ValueError, OverflowError, OSError) as error:
+        except (ValueError, OSError) as error:
             raise click.BadParameter(str(error)) from error
 
     return callback

@@ -115,7 +115,10 @@ def show(
 
 @parsed
 def _millimetres(text: str) -> float:
-    width = float(text.strip().removesuffix("mm"))
+    try:
+        width = float(text.strip().removesuffix("mm"))
+    except ValueError:
+        width = 0.0
     if not 40.0 <= width <= 1000.0:
         raise ValueError(f"{text!r}: must be from 40mm to 1000mm, like 88mm or 180mm")
     return width

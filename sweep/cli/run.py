@@ -57,7 +57,10 @@ def _bytes(text: str) -> int:
     # The same words as in Dask's own configuration.
     from dask.utils import parse_bytes
 
-    return int(parse_bytes(text))
+    try:
+        return int(parse_bytes(text))
+    except (ValueError, OverflowError) as error:
+        raise ValueError(f"{text!r} is no number of bytes like 2GB or 500MiB") from error
 
 
 def resources(
@@ -369,7 +372,10 @@ class Target:
 
 @parsed
 def _counts(text: str) -> tuple[int, ...]:
-    return tuple(map(int, text.split(",")))
+    words = text.split(",")
+    if not all(word.strip().isdecimal() and len(word) < 6 for word in words):
+        raise ValueError(f"{text!r} is no list of numbers of workers; write 1,2,4")
+    return tuple(map(int, words))
 
 
 @cli.command("Run", "Measure how a study scales with workers")

@@ -476,7 +476,7 @@ def located(where: Where) -> Location:
         return where
     address = str(where)
     if not isinstance(where, str | Path) or not address:
-        raise SweepError("cannot be a store: it must be a path, or a text like s3://BUCKET/NAME", address)
+        raise SweepError("cannot be a store: it must be a path, or a text like s3://BUCKET/NAME", address or "''")
     if address.startswith("s3:/"):
         # `Path` makes one slash of two.
         match = ADDRESS.fullmatch(address)

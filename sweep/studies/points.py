@@ -26,7 +26,18 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from linksweep.sweep.code import Code, reach_of
-from linksweep.sweep.contract import Experiment, Named, Parameter, SweepError, Value, needed, number_at, shown, suggest
+from linksweep.sweep.contract import (
+    Experiment,
+    Named,
+    Parameter,
+    SweepError,
+    Value,
+    nearest,
+    needed,
+    number_at,
+    shown,
+    suggest,
+)
 from linksweep.sweep.contract.experiment import LABEL, factor_between, is_quantity, name_problem, refused, rescaled
 from linksweep.sweep.contract.rows import Array
 from linksweep.sweep.formatting import first_of, is_missing
@@ -156,8 +167,8 @@ class Values:
         parameters, sampling = self.experiment.defaults(), Sampling.model_fields
         if name not in parameters:
             there = f"; it is set in [sampling]: --set {name}=VALUE, in Python sampling={{{name!r}: VALUE}}"
-            hint = there if name in sampling else suggest(name, [*parameters, *sampling])
-            raise ValueError(f"unknown parameter {shown(name)}{hint}")
+            near = nearest(name, [*parameters, *sampling]) or suggest(name, [*parameters])
+            raise ValueError(f"unknown parameter {shown(name)}{there if name in sampling else near}")
         return self.experiment.parameter(name)
 
     def axis(self, name: str, spec: object) -> tuple[Value, ...] | None:

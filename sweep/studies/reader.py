@@ -78,9 +78,13 @@ def read_text(path: Path) -> str:
     """Return the text of a file of bounded size; raises SweepError where it cannot be read or is no UTF-8."""
     with refused(OSError, ValueError, said="cannot be read: ", where=path), path.open("rb") as file:
         content = file.read(MAX_FILE_BYTES + 1)  # no stat: a device or a pipe has no size
-        if len(content) > MAX_FILE_BYTES:
-            raise SweepError(f"is larger than {MAX_FILE_BYTES:,} bytes", str(path))
+    if len(content) > MAX_FILE_BYTES:
+        raise SweepError(f"is larger than {MAX_FILE_BYTES:,} bytes", str(path))
+    try:
         return content.decode("utf-8-sig").replace("\r\n", "\n")
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        raise SweepError(f"not UTF-8 text: byte 0x{content[error.start]:02x} in line {line}", str(path)) from error
 
 
 def parsed(text: str, path: Path) -> dict[str, Any]:

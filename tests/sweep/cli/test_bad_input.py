@@ -111,7 +111,7 @@ WITH_FILES = {  # by the content of a file beside the study: what is said
         (b"# c\nv_max,sigma_spin\n16,0.5\n17\n", "line 4: does not have 2 cells as the header has"),
         (b"v_max,sigma_spin\n16," + b"1" * 200_000, "is not a CSV table: field larger than field limit"),
         (b"n_obj,sigma_spin\n2.5,1\n", "line 2: n_obj = 2.5: must be an integer"),  # an axis here, else a result
-        (b"v_max\n\xff\n", "can't decode byte 0xff in position 6"),
+        (b"v_max\n\xff\n", "not UTF-8 text: byte 0xff in line 2"),
     ],
     "mine.py": [
         (b"raise RuntimeError('no licence')", f"{MINE}cannot be imported: RuntimeError: no licence"),
@@ -171,7 +171,7 @@ FILES["link.zarr/zarr.json"] = json.dumps(ROOT | {"attributes": {"result": "tie"
 SOBOL = "plan quasars --design sobol:8"
 ANOTHER = "STORE: , name it holds results of a different study, name it give another store with -o, name it experiment:"
 COMMANDS = [
-    ("run french.toml", "french.toml: cannot be read: 'utf-8' codec can't decode byte 0xc9"),
+    ("run french.toml", "french.toml: not UTF-8 text: byte 0xc9 in line 1"),
     ("run large.toml", "large.toml: is larger than 1,000,000 bytes"),
     ("run mine.py --axis x=1", "mine.py: is Python, not a study, name it as mine.py:NAME"),
     ("run quasar", "no study 'quasar': neither a file nor a built-in study; did you mean 'quasars'?"),
@@ -209,7 +209,7 @@ COMMANDS = [
     ("reproduce STORE --at metall=tin,coins=6", "'metall' is not an axis; did you mean 'metal'?"),
     ("reproduce STORE --at tin", "'tin': a place is AXIS=VALUE"),
     *(("scaling sqrt-n --workers 2,4", "must increase from 1"), ("scaling sqrt-n --workers 1,5000", "4096")),
-    ("scaling sqrt-n --workers 1,two", "'two'"),
+    ("scaling sqrt-n --workers 1,two", "'1,two' is no list of numbers of workers; write 1,2,4"),
     *(("scaling sqrt-n --set n_sim=none", "n_sim"), ("scaling sqrt-n --set precision=0.1", "decides itself")),
     *(("scaling sqrt-n --repetitions 0", "repetitions"), ("scaling sqrt-n -o s.txt", "the name must end")),
     # no option is dropped for another
@@ -237,7 +237,7 @@ COMMANDS = [
     ("plot STORE -o coins.bmp", "coins.bmp: cannot draw there: the name must end with .png, .svg, .pdf"),
     ("plot STORE --kind sky", "no sky and no accuracy here: only studies of the link"),
     ("plot STORE --kind sky --over coins", "do not go with --kind sky"),
-    ("plot STORE --width 2mm", "must be from 40mm to 1000mm, like 88mm or 180mm"),
+    *((f"plot STORE --width {w}", "must be from 40mm to 1000mm, like 88mm or 180mm") for w in ("2mm", "wide")),
     *(("plot", "name the store to draw"), ("plot --kind accuracy --model hipparcos", "no model 'hipparcos'")),
     ("plot STORE --log coinz", "'coinz' has no scale to choose; did you mean 'coins'?"),
     ("plot STORE --log coins --linear coins", "coins cannot have both a logarithmic and a linear axis"),
