@@ -988,6 +988,8 @@ class Experiment:
 def _problems(experiment: Experiment) -> list[str]:
     """Return a sentence for each mistake in a declaration, none if there are none."""
     problems = [*filter(None, [setting_problem(experiment)])]
+    if isinstance(experiment.name, str) and not experiment.name.strip():
+        problems.append(f"name = {shown(experiment.name)}: must be a text")
     parameters = members("parameters", experiment.parameters, Parameter, problems)
     outputs = members("outputs", experiment.outputs, Output, problems)
     samples = members("sample_outputs", experiment.sample_outputs, Output, problems)
