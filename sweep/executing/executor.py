@@ -486,8 +486,11 @@ def threads(_reference: str, workers: int) -> Iterator[tuple[Place, Executor]]:
     """Give an executor on threads of this process."""
     from multiprocessing.pool import ThreadPool  # others would keep Python from ending while they compute
 
-    def compute(job: AnyJob, task: Task) -> tuple[AnyJob, Any]:
-        return job, worker.compute(task)
+    def compute(job: AnyJob, task: Task) -> tuple[AnyJob, Any] | BaseException:
+        try:
+            return job, worker.compute(task)
+        except BaseException as error:  # also what would end this thread; raised again in that of the run
+            return error
 
     def execute(take: Callable[[int], Sequence[AnyJob]]) -> Iterator[tuple[AnyJob, Any]]:
         done: SimpleQueue[tuple[AnyJob, Any] | BaseException] = SimpleQueue()
@@ -496,7 +499,7 @@ def threads(_reference: str, workers: int) -> Iterator[tuple[Place, Executor]]:
             # One job more than threads, so that none waits while the results of another are used.
             for job in take(workers + 1 - under_way):
                 # A new thread has none of the context variables that are set here.
-                pool.apply_async(copy_context().run, (compute, job, job.task()), {}, done.put, done.put)
+                pool.apply_async(copy_context().run, (compute, job, job.task()), callback=done.put)
                 under_way += 1
             if not under_way:
                 return

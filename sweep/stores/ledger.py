@@ -13,7 +13,6 @@ was not finished, or was computed again.
 
 import json
 import re
-import sys
 from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, suppress
@@ -585,7 +584,8 @@ def _unpacked(content: bytes, count: int, dtype: np.dtype[np.void]) -> NDArray[A
     listed = json.loads(content[at:]) if texts else []
     if sum(column.size for column in texts) != len(listed) or not all(isinstance(text, str) for text in listed):
         raise ValueError("it has other texts than rows")
-    shared = map(sys.intern, listed)  # equal texts are one object
+    known: dict[str, str] = {}
+    shared = (known.setdefault(text, text) for text in listed)  # equal texts are one object
     for column in texts:
         column.flat[:] = list(islice(shared, column.size))
     return records

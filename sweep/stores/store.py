@@ -680,9 +680,10 @@ def repair(where: Where, *, break_lock: bool = False) -> list[str]:
             ledger.put("study", copied(attributes))
             ledger.mend(report.ledger)
             ledger.tidy()
+        done = dict.fromkeys(report.identity, f"the copy of {ROOT} was made anew")
         if ROOT in report.identity:
             put_root(location, {**attributes, LEDGER_THEN: ledger.manifest.model_dump_json()})
-        done = dict.fromkeys(report.identity, "is made anew; the next `sweep run` writes the results")
+            done[ROOT] = "it was made anew from its copy; the results are not in it until `sweep run` writes them"
         done |= dict.fromkeys(report.ledger, "the next `sweep run` computes again what was in it")
         done |= dict.fromkeys(report.results, "the next `sweep run` writes it anew from the ledger")
         return [f"{file}: {what}" for file, what in done.items()]

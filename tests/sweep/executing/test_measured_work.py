@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 import time
 
 import pytest
@@ -135,6 +136,8 @@ def test_results_come_in_the_order_of_the_pieces(resources):
         assert list(run(pow, [])) == []
         with pytest.raises(ZeroDivisionError):
             list(run(divmod, [(1, 1), (1, 0)]))
+        with pytest.raises(SystemExit):  # which ends a thread
+            list(run(sys.exit, [(3,)]))
         assert list(run(divmod, [(7, 2)])) == [(3, 1)]
 
 

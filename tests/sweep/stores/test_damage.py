@@ -292,6 +292,10 @@ def test_the_commands(tmp_path, sweep):
     assert f"{name}: the next `sweep run` computes again" in sweep("check", store, "--repair", code=0)[1]
     linksweep.run(model, store, axes={"x": [4]}, pool="serial")
     assert linksweep.open(store).y.values.tolist() == [1 / 3, 2 / 3, 4 / 3]
+    [copy] = store.glob("blocks/study.*")
+    copy.write_bytes(flip(copy.read_bytes()))
+    sentence = f"blocks/{copy.name}: the copy of zarr.json was made anew\n"  # its results are as they were
+    assert sweep("check", store, "--repair", code=0)[1] == sentence
 
 
 def nested(depth):
