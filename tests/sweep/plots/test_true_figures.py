@@ -292,3 +292,15 @@ def test_names_below_an_axis_do_not_cover_each_other(tmp_path, names, width, tur
     boxes = [text.get_window_extent() for text in texts]
     assert turned or all(left.x1 < right.x0 for left, right in pairwise(boxes))
     assert axes.get_window_extent().height > 0.6 * axes.figure.bbox.height
+
+
+def test_integers_of_a_map_have_ticks_at_integers():
+    x = xr.DataArray(range(1, 5), dims="x")
+    ds = (
+        results([1.0, 2.0, 3.0, 4.0])
+        .assign_coords(x=x)
+        .expand_dims(k=range(1, 5))
+        .assign(status=(("k", "x"), np.ones((4, 4), np.int8)))
+    )
+    axes = linksweep.plot(ds, "map").axes[0]
+    assert not (axes.get_xticks() % 1.0).any()
