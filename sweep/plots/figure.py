@@ -511,8 +511,10 @@ def _draw_series(axes: Axes, x: Array, drawn: Series, variable: str, offset: flo
     for level in y[np.isnan(x) & np.isfinite(y)]:
         axes.axhline(level, color=colour, linewidth=1.2, linestyle=":", label=style.WITHOUT)
     if joined:
-        width, opacity, said = (1.2, 1.0, words) if is_line else (0.8, 0.6, style.JOINED)
-        axes.plot(x, y, color=colour, zorder=2, linewidth=width, alpha=opacity, label=said)
+        line, width, opacity, said = "solid", 0.8, 0.6, style.JOINED
+        if is_line:
+            line, width, opacity, said = mark["linestyle"], 1.2, 1.0, words
+        axes.plot(x, y, color=colour, zorder=2, linestyle=line, linewidth=width, alpha=opacity, label=said)
         if sigma is not None and (is_line or "predicted" not in parts):
             axes.fill_between(x, y - sigma, y + sigma, color=colour, label=style.ERROR_BAND, **style.BAND)
     if "predicted" in parts:

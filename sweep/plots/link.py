@@ -590,7 +590,7 @@ def ranking_figure(dataset: xr.Dataset) -> Figure:
     for axes in right:
         steps = dataset["step_error"].values
         for number, k in enumerate(wanted[: len(style.COLOURS)]):
-            look = {"markersize": 4.0, "linewidth": 1.2, **style.series(number)}
+            look = {**style.series(number), "markersize": 4.0, "linestyle": "solid", "linewidth": 1.2}
             axes.plot(steps[:, k] / steps[0, k], label=_symbols(dataset)[k], **look)
         axes.set_xticks(range(len(chosen) + 1), ["none", *chosen], rotation=90, fontsize=7)
         axes.set(xlabel="observed, one after the other", ylabel="error relative to none")

@@ -480,9 +480,12 @@ AT_END = "_at its end: "  # how the labels of lines begin that are named at thei
 
 
 def series(number: int, steps: int = 0) -> dict[str, Any]:
-    """Return colour and marker of the ``number``-th series of a panel: of a palette of names, or of a ramp of steps."""
+    """Return colour, marker and line of the ``number``-th series of a panel: of a palette of names, or of a ramp of
+    steps, whose lines are solid.
+    """
     ramp = colors.to_hex(mpl.colormaps["viridis"](0.85 * number / (steps - 1))) if steps else ""
-    return {"color": ramp or COLOURS[number % len(COLOURS)], "marker": MARKERS[number % len(MARKERS)]}
+    colour, line = ramp or COLOURS[number % len(COLOURS)], "solid" if steps else LINES[number % len(LINES)]
+    return {"color": colour, "marker": MARKERS[number % len(MARKERS)], "linestyle": line}
 
 
 def marks(number: int, size: float, **options: Any) -> dict[str, Any]:
