@@ -9,7 +9,7 @@ import json
 import lzma
 import re
 import warnings
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from itertools import islice
 from pathlib import Path
@@ -291,8 +291,12 @@ def from_frame(frame: Any) -> Any:
 
 def _check_widths(body: bytes, n_columns: int, delimiter: str) -> None:
     """Raise SweepError for the first row that has another number of columns than there are names."""
-    lines = (line for line in io.TextIOWrapper(io.BytesIO(body), "utf-8") if line.strip())
-    rows = map(str.split, lines) if delimiter == " " else csv.reader(lines, delimiter=delimiter)
+    rows: Iterable[Sequence[str] | Sequence[bytes]]
+    if delimiter == " ":  # of bytes, as a no-break space does not part columns
+        rows = (line.split() for line in body.split(b"\n") if line.strip())
+    else:
+        lines = (line for line in io.TextIOWrapper(io.BytesIO(body), "utf-8") if line.strip())
+        rows = csv.reader(lines, delimiter=delimiter)
     for number, row in enumerate(rows, start=1):
         if len(row) != n_columns:  # pandas would fill a short row with gaps
             raise SweepError(f"row {number} has {len(row)} columns, not {n_columns} as the line of names")

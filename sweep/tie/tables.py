@@ -83,7 +83,9 @@ _DESIGNATION = re.compile(r"Gaia E?(DR\d)\b", re.IGNORECASE)
 ZERO_POINT = ("phot_g_mean_mag", "nu_eff_used_in_astrometry", "pseudocolour", "ecl_lat", "astrometric_params_solved")
 
 # Of the text of an array: numbers, what stands for a missing one, and truth values.
-_ELEMENT = re.compile(r"[+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?|nan|none|null|--|\b[tf]\b|true|false", re.IGNORECASE)
+_ELEMENT = re.compile(
+    r"[+-]?(?:inf(?:inity)?|(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?)|nan|none|null|--|\b[tf]\b|true|false", re.IGNORECASE
+)
 _IN_NUMBERS = dict.fromkeys(("none", "null", "--"), "nan") | dict.fromkeys(("t", "true"), "1")
 _IN_NUMBERS |= dict.fromkeys(("f", "false"), "0")
 _ELEMENT_OF_HIPPARCOS = re.compile(r"[+-]?\d*\.\d\d")  # of six characters, which may touch
