@@ -26,7 +26,7 @@ from linksweep.core.tie.forecast import RELEASES, releases_at
 from linksweep.core.tie.problem import Problem, Solution
 from linksweep.core.tie.transits import COLOUR, ERROR, MODELS, NOISE, PATH, VALUE, Paths, Transits, joint, misfit
 from linksweep.core.unknowns import PARAMETERS
-from linksweep.sweep.contract import SweepError, needed, refused
+from linksweep.sweep.contract import SweepError, needed, refused, shown
 from linksweep.sweep.formatting import first_of
 from linksweep.sweep.tables import columns as archives
 from linksweep.sweep.tables.columns import ACCELERATIONS, CORRELATIONS, Columns, first_found, rows_where
@@ -472,8 +472,12 @@ def _averaged(read: Columns, epoch: Array, further: Array, options: TableOptions
 
 
 def _numbers(cell: Any, number: re.Pattern[str] = _ELEMENT) -> Array:
-    """Return the numbers of an array, or of its text: tuples in CSV, lists in Parquet."""
+    """Return the numbers of an array, or of its text: tuples in CSV, lists in Parquet; raises ValueError for a text
+    with other words, such as np.float32(0.5).
+    """
     if isinstance(cell, str):
+        if re.search(r"\w", number.sub("", cell)):
+            raise ValueError(f"{shown(cell)} is not a list of numbers")
         return np.array([_IN_NUMBERS.get(part.lower(), part) for part in number.findall(cell)], float)
     return np.array(np.ravel(np.ma.filled(cell, np.nan)), float)
 
@@ -485,9 +489,10 @@ def _vectors(read: Columns, name: str, size: int, number: re.Pattern[str] = _ELE
         cells = np.ma.filled(np.ma.asarray(column).astype(np.float64), np.nan)[:, :size]
         vectors[: cells.shape[1]] = cells.T
         return vectors
-    for k, cell in enumerate(column):
-        numbers = _numbers(cell, number)[:size]
-        vectors[: len(numbers), k] = numbers
+    with refused(ValueError, said=f"column {name!r}: ", where=read.where):
+        for k, cell in enumerate(column):
+            numbers = _numbers(cell, number)[:size]
+            vectors[: len(numbers), k] = numbers
     return vectors
 
 
