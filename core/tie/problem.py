@@ -412,8 +412,9 @@ def group_sums(
     left_out, short = n_groups, np.min_scalar_type(n_groups)  # short integers sort much faster
     for part in _blocks(len(group), GATHERED):
         here, weights = group[part].astype(short), None
-        if factors is not None and not np.all(factors[part] == 1.0):  # those left out are a last group, of no sums
-            weights, here = factors[part], np.where(factors[part] > 0.0, here, short.type(left_out))
+        if factors is not None:  # those left out are a last group, of no sums
+            here = np.where(factors[part] > 0.0, here, short.type(left_out))
+            weights = None if equal else factors[part]
         _add_block(sums, problem, part, here, weights)
     return sums
 
