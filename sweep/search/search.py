@@ -612,7 +612,7 @@ def galaxy_table(columns: pd.DataFrame) -> str:
     r"""Return the matches in the format of the paper's tables at CDS: one line of 46 bytes and a ``\n`` for each.
 
     TYC1 (bytes 1-4), TYC2 (6-10), TYC3 (12) and PGC (14-18) are integers, ra (20-31) and dec (33-44) of the star are
-    F12.8, byte 46 is the class, one of `LETTERS`.  A right ascension that rounds to 360 is written as 0.  Raises
+    F12.8, byte 46 is the class, one of `LETTERS`.  Right ascensions are from 0 to below 360, also rounded.  Raises
     SweepError that names stars with a PGC number that does not fit, such as the 0 of a galaxy without one.
     """
     problems, lines = list[str](), list[str]()
@@ -620,7 +620,7 @@ def galaxy_table(columns: pd.DataFrame) -> str:
         if not 1 <= pgc <= LARGEST_PGC:
             said = f": PGC = {pgc} does not fit bytes 14-18, from 1 to {LARGEST_PGC}" if pgc else " has no PGC number"
             problems.append(f"TYC {tyc1}-{tyc2}-{tyc3}{said}")
-        wrapped = 0.0 if f"{ra:.8f}" == "360.00000000" else ra
+        wrapped = round(ra % 360.0, 8) % 360.0
         lines.append(f"{tyc1:4d} {tyc2:5d} {tyc3:1d} {pgc:5d} {wrapped:12.8f} {dec:12.8f} {LETTERS[name]}\n")
     if problems:
         raise SweepError(first_of(problems, PROBLEMS_NAMED, "\n"))
