@@ -23,7 +23,7 @@ ONLY_IN = {
     **dict.fromkeys(("bokeh", "jinja2"), "sweep.report"),
     "pydantic": "sweep.studies sweep.stores sweep.executing sweep.functions.results",  # the last for records alone
     "astropy": "sweep.contract.experiment sweep.tables sweep.table_writer sweep.formatting sweep.analysis "
-    "sweep.result sweep.search sweep.tie sweep.studies.points",  # the last for quantities
+    "sweep.result sweep.search sweep.tie",
     "pandas": "sweep core.missions.calibrate",  # a script, which nobody imports
     "core": "core __init__ sweep.plots.link sweep.search sweep.tie",
 }

@@ -150,6 +150,13 @@ def is_quantity(value: object) -> bool:
     return hasattr(value, "unit") and hasattr(value, "to_value")
 
 
+def quantity_of(number: Any, unit: str) -> Any:
+    """Return a quantity of astropy."""
+    from astropy.units import Quantity
+
+    return Quantity(number, unit)
+
+
 @lru_cache(maxsize=256)
 def factor_between(one: str, other: str) -> float | None:
     """Return the factor that converts numbers from one unit to another; None for units of different kinds."""

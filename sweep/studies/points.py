@@ -38,7 +38,15 @@ from linksweep.sweep.contract import (
     shown,
     suggest,
 )
-from linksweep.sweep.contract.experiment import LABEL, factor_between, is_quantity, name_problem, refused, rescaled
+from linksweep.sweep.contract.experiment import (
+    LABEL,
+    factor_between,
+    is_quantity,
+    name_problem,
+    quantity_of,
+    refused,
+    rescaled,
+)
 from linksweep.sweep.contract.rows import Array
 from linksweep.sweep.formatting import first_of, is_missing
 from linksweep.sweep.functions.results import unit_of
@@ -109,6 +117,7 @@ class Problems:
     def __init__(self, where: str, text: str = "", options: Mapping[KeyPath, str] | None = None) -> None:
         self.where, self.text, self.options = where, text, {} if options is None else options
         self.sentences: list[str] = []
+        self._line_of: dict[str, int] = {}  # of those that are in the file
 
     @cached_property
     def _lines(self) -> dict[KeyPath, int]:
@@ -120,9 +129,12 @@ class Problems:
             raise SweepError([*self.sentences, "... and perhaps more problems like these"], self.where)
         around = [place[:n] for n in range(len(place), 0, -1)]  # the value, and the tables that it is in
         sources = [self.options[table] for table in around if self.options.get(table)]
-        sources += [f"line {self._lines[table]}" for table in around if table in self._lines]
+        lines = [self._lines[table] for table in around if table in self._lines]
+        sources += [f"line {line}" for line in lines]
         key = ".".join(str(p) if re.fullmatch(r"[\w-]{1,60}", str(p)) else shown(p) for p in place)
         self.sentences.append(f"{key}{f' ({sources[0]})' if sources else ''}: {message}")
+        if lines:
+            self._line_of[self.sentences[-1]] = lines[0]
 
     @contextmanager
     def at(self, place: KeyPath, before: str = "") -> Iterator[None]:
@@ -134,9 +146,9 @@ class Problems:
                 self.add(place, f"{before}{problem}")
 
     def report(self) -> None:
-        """Raise SweepError with all problems, if there are any."""
+        """Raise SweepError with all problems, if there are any: those of the file in the order of its lines."""
         if self.sentences:
-            raise SweepError(self.sentences, self.where)
+            raise SweepError(sorted(self.sentences, key=lambda one: self._line_of.get(one, 0)), self.where)
 
 
 class Values:
@@ -237,9 +249,7 @@ def in_unit(cells: list[Any], theirs: str, parameter: Parameter) -> list[Any]:
     """
     unit = parameter.unit
     if parameter.kind == "object":
-        from astropy.units import Quantity
-
-        return [cell if cell is None or isinstance(cell, str) else Quantity(cell, theirs) for cell in cells]
+        return [cell if cell is None or isinstance(cell, str) else quantity_of(cell, theirs) for cell in cells]
     factor = factor_between(theirs, unit)
     if factor is None or (factor != 1.0 and not set(map(type, cells)) <= {int, float, str, bool, type(None)}):
         words = f"is in {unit}" if unit else "has no unit; give numbers, declare its unit, or annotate it with Quantity"

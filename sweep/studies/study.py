@@ -216,6 +216,13 @@ def _drawn(name: str, context: Context) -> str:
     return name
 
 
+def _drawn_log(name: str, context: Context) -> str:
+    values = context.axes.get(_drawn(name, context)) if name not in context.changed else None
+    if wrong := [value for value in values or () if not is_number(value) or value <= 0]:
+        raise ValueError(f"{name} = {shown(wrong[0])}: a logarithmic axis has only numbers above zero")
+    return name
+
+
 def _drawn_at(name: str, raw: Any, context: Context) -> Any:
     labels = context.experiment.coordinates.get(name)
     if labels is None:
@@ -563,7 +570,7 @@ class FigureForm(Section, frozen=True):
     kind: str | None = None
     over: list[Annotated[str, _checked(_drawn)]] = Field(default_factory=list)
     at: Annotated[dict[str, Any], _each(_drawn_at)] = Field(default_factory=dict)
-    log: list[Annotated[str, _checked(_drawn)]] = Field(default_factory=list)
+    log: list[Annotated[str, _checked(_drawn_log)]] = Field(default_factory=list)
     linear: list[Annotated[str, _checked(_drawn)]] = Field(default_factory=list)
 
 

@@ -139,7 +139,7 @@ def test_all_problems_are_reported_in_one_message(here):
     places = ["title (line 1)", "colour (line 2)", "axes.v_mx (line 4)", "axes.n_obj (line 5)"]
     places += ["fixed.error_scale (line 7)", "sampling.n_sim (line 9)"]
     said = check_refused(here, ("run", "study.toml"), "error: study.toml: 6 problems\n")
-    assert {line.partition(":")[0].removeprefix("  - ") for line in said.splitlines()[1:]} == set(places)
+    assert [line.partition(":")[0].removeprefix("  - ") for line in said.splitlines()[1:]] == places
     (here / "study.toml").write_bytes(b"\xef\xbb\xbf" + fixed("error_scale = -1").replace("\n", "\r\n").encode())
     options = ("--set", "seed", "--axis", "model=x")
     check_refused(here, ("run", "study.toml", *options), "3 problems", "--set 'seed'", "'x'", "line 8")

@@ -108,11 +108,12 @@ def test_a_logarithm_needs_numbers_above_zero(tmp_path):
         assert linksweep.plot(ds).axes[0].get_yscale() == scale
     with pytest.raises(linksweep.SweepError, match="x = 0: a logarithmic axis has only numbers above zero"):
         linksweep.plot(results([0.0, 1.0, 10.0]), log=["x"])
-    wrong = {"title": "a", "axes": {"sky_contrast": [0.0, 0.5]}, "figure": {"log": ["n_obi"]}}
+    wrong = {"title": "a", "axes": {"sky_contrast": [0.0, 0.5]}, "figure": {"log": ["sky_contrast", "n_obi"]}}
     with pytest.raises(linksweep.SweepError) as raised:
         linksweep.run(wrong, tmp_path / "a.zarr")
-    misspelt = "figure.log.0: 'n_obi' is neither a parameter nor an output; did you mean 'n_obj'?"
-    assert raised.value.problems == [misspelt]
+    zero = "figure.log.0: sky_contrast = 0.0: a logarithmic axis has only numbers above zero"
+    misspelt = "figure.log.1: 'n_obi' is neither a parameter nor an output; did you mean 'n_obj'?"
+    assert raised.value.problems == [zero, misspelt]
 
 
 @pytest.mark.parametrize("number", [slow(2), 3, slow(7)])
