@@ -50,7 +50,8 @@ class Interruptions:
     """The signals that stop a run: the first raises KeyboardInterrupt, the second is handled as before the run.
 
     Python drops a KeyboardInterrupt that arrives in a finaliser or in a callback of its import system, and libraries
-    drop some while they are imported.  So it is raised again, by the alarm clock of the process, until it gets through.
+    drop some while they are imported.  So it is raised again, by the alarm clock of the process, until it gets through;
+    an alarm that the caller has set is lost.
     This does not work if the caller runs everything inside an ``except`` block: there a dropped interrupt looks like
     one that is being handled.
     """
