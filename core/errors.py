@@ -49,9 +49,9 @@ class ErrorModel:
     @classmethod
     def from_point(cls, point: Point, side: str) -> Self:
         """Return the model of a side at a point."""
-        own: dict[str, Any] = {field: point[name.format(side)] for field, name in cls.parameters.items()}
+        values: dict[str, Any] = {field: point[name.format(side)] for field, name in cls.parameters.items()}
         scale = float(point["error_scale"] * point[f"{side}_error_scale"])
-        return cls(**own, side=side, scale=scale, floor=(point[f"{side}_floor_pos"], point[f"{side}_floor_pm"]))
+        return cls(**values, side=side, scale=scale, floor=(point[f"{side}_floor_pos"], point[f"{side}_floor_pm"]))
 
     @property
     def is_elementwise(self) -> bool:

@@ -573,7 +573,7 @@ def _set_by(kind: type) -> set[str]:
     every = [one for base in kind.__mro__ for one in vars(base).values() if type(one) in (FunctionType, *DESCRIPTORS)]
     methods = {one for each in every for name in WRAPPED if isinstance(one := getattr(each, name, each), FunctionType)}
     nodes = [(one.__code__.co_varnames[:1], node) for one in methods for node in definitions_of(one)]
-    return {s.rpartition(".")[2] for own, node in nodes for s in _changed(ast.walk(node)) if s.partition(".")[0] in own}
+    return {s.rpartition(".")[2] for me, node in nodes for s in _changed(ast.walk(node)) if s.partition(".")[0] in me}
 
 
 def _contents(value: Any, depth: int = 4) -> str:

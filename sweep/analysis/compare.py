@@ -206,13 +206,16 @@ def _published_numbers(dataset: xr.Dataset) -> Iterator[Comparison]:
         about = _about(dataset, name, name, unit, str(table.attrs["source"]))
         is_mean = quantity.standard_error(dataset, name) is not None
         is_count = dataset[name].dtype.kind in "iu" or not (is_mean or unit or FUNCTION in dataset.attrs)
-        rule = float(table.attrs.get("tolerance", 0.0)), str(table.attrs.get("tolerance_reason", ""))
+        tolerance, reason = float(table.attrs.get("tolerance", 0.0)), str(table.attrs.get("tolerance_reason", ""))
         for index in np.argwhere(np.isfinite(table.values)):
             here = dict(zip(map(str, table.dims), map(int, index), strict=True))
             number, rounding = float(table[here]), float(dataset[f"{name}_published_rounding"][here])
             ours = Measured({}, missing=problem) if problem else next(_values(dataset, name, [here]))
             is_exact = is_count and rounding == 0.5 and number.is_integer()
-            yield judged(about, ours, number, 0.0) if is_exact else judged(about, ours, number, rounding, *rule)
+            if is_exact:
+                yield judged(about, ours, number, rounding=0.0)
+            else:
+                yield judged(about, ours, number, rounding, tolerance, reason)
         if table.attrs.get("outside_grid") and not np.isfinite(table.values).any():
             yield judged(about, Measured({}, missing=_outside(table)), math.nan, math.nan)
     for name in json.loads(dataset.attrs.get("published_not_compared", "[]")):
@@ -237,8 +240,13 @@ def _claims(dataset: xr.Dataset) -> Iterator[Comparison]:
             measured = [Measured(claim.where, missing="; ".join(error.problems))]
         about = _about(dataset, claim.text, in_words(derived), unit_of(dataset, derived), claim.source)
         number, rounding = float(claim.published), 0.0 if claim.exact else printed_rounding(claim.published)
-        rule = claim.tolerance or 0.0, claim.tolerance_reason or "", claim.null, claim.not_comparable or ""
-        yield from (judged(about, one, number, rounding, *rule) for one in measured)
+        tolerance, reason, not_comparable = (
+            claim.tolerance or 0.0,
+            claim.tolerance_reason or "",
+            claim.not_comparable or "",
+        )
+        for one in measured:
+            yield judged(about, one, number, rounding, tolerance, reason, claim.null, not_comparable)
 
 
 def _about(dataset: xr.Dataset, what: str, derived: str, unit: str, source: str) -> dict[str, str]:
@@ -267,9 +275,9 @@ def judged(
     off = abs(ours.value - number) - ARITHMETIC * abs(number)
     most = min(MOST_UNSEEN * abs(number) if number else math.inf, math.inf if null is None else abs(number - null))
     passes = rounding + allowed
-    shown, passed, found = (in_short(one, 0.0, about["unit"]) for one in (most, passes, detectable))
+    shown, passed, noticed = (in_short(one, 0.0, about["unit"]) for one in (most, passes, detectable))
     apart = f"more than {shown}, which the verdict must find"
-    passing = f"our Monte-Carlo error lets pass a deviation of {found}, {apart}"
+    passing = f"our Monte-Carlo error lets pass a deviation of {noticed}, {apart}"
     cases: list[tuple[bool, Verdict, str]] = [  # the first that is true
         (bool(ours.missing), "incomplete", ours.missing),
         (not math.isfinite(ours.value), "NOT reproduced", ours.broken or "the result is not a finite number"),

@@ -617,8 +617,8 @@ def _signs(figure: Figure, dataset: xr.Dataset) -> list[str]:
     entries = legend_entries(figure)
     labels = {artist.get_label() for axes in figure.axes for artist in (*axes.get_children(), *labelled(axes))}
     points = [(axes, one) for axes in figure.axes for one in axes.containers if isinstance(one, ErrorbarContainer)]
-    own = [(axes, one) for axes, one in points if str(one.get_label()).lstrip("_") != PUBLISHED]
-    with_bars = {axes.get_label() for axes, one in own if one.has_xerr or one.has_yerr}
+    ours = [(axes, one) for axes, one in points if str(one.get_label()).lstrip("_") != PUBLISHED]
+    with_bars = {axes.get_label() for axes, one in ours if one.has_xerr or one.has_yerr}
     names, sentences = [name for name in _drawn(figure, dataset) if name in with_bars], list[str]()
     if any(quantity.standard_error(dataset, name) is not None for name in names):
         sentences.append("Points are simulated, with one-sigma errors.")

@@ -639,8 +639,8 @@ def read_cell(cell: Any, kind: str) -> Any:
         return cell
     if kind == "bool":  # of pandas and NumPy True, of TOML true, of spreadsheets TRUE
         return {"true": True, "false": False}.get(cell.lower(), cell)
-    found = options.number(cell)
-    return cell if isinstance(found, str) else found
+    number = options.number(cell)
+    return cell if isinstance(number, str) else number
 
 
 def parse_value(text: str, is_text: bool = False) -> Any:
