@@ -86,6 +86,10 @@ class experiment:  # noqa: N801 (a decorator)
     shared: str | Sequence[str] = ()
     when: Mapping[str, Mapping[str, Sequence[Any]]] = field(default_factory=dict)
 
+    def __new__(cls, *functions: Any, **declared: Any) -> Any:
+        """Return a declaration; of a function, as after ``@experiment`` without brackets, the function itself."""
+        return cls()(*functions) if functions else super().__new__(cls)
+
     def __post_init__(self) -> None:
         if isinstance(self.outputs, Mapping):
             object.__setattr__(self, "outputs", [Output(name, unit=unit) for name, unit in self.outputs.items()])

@@ -72,7 +72,7 @@ def test_the_same_result_is_taken(kind, tmp_path):
 
 def test_the_second_call_counts_nowhere(tmp_path):
     calls, watcher = [], Sentences()
-    f = experiment()(lambda x: (calls.append(x), print("a line"), x)[2])
+    f = experiment(lambda x: (calls.append(x), print("a line"), x)[2])
     run(f, tmp_path / "s.zarr", axes=AXES, pool="serial", progress=watcher)
     assert sorted(calls) == [1.0, 1.0, 2.0, 3.0]
     assert [said.printed for said in watcher.printed] == ["a line\n"] * 3
