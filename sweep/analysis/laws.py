@@ -731,7 +731,8 @@ def levelling(x: Array, y: Array, errors: Array, fall: float, samples: float = n
 
     def derived(parameters: Array) -> Array:
         start, end, rate = np.exp(parameters[0]), np.exp(parameters[1]), parameters[2]
-        floor = 0.0 if rate <= 0.0 else max(start + (end - start) / -np.expm1(-rate), 0.0)  # what y^2 tends to
+        bound = 0.0 if start > end else np.inf
+        floor = max(start + (end - start) / -np.expm1(-rate), 0.0) if rate > 0.0 else bound  # what y^2 tends to
         end_fall = -np.expm1(0.5 * (end - start) / end / exprel(rate) / length)
         limit, most = np.inf if end_fall > fall else -np.inf, -0.5 * rate / length / np.log1p(-fall)
         if floor > 0.0 and end < start and most > 1.0:  # where the plateau does not count yet, it falls by most
@@ -745,7 +746,7 @@ def levelling(x: Array, y: Array, errors: Array, fall: float, samples: float = n
         steps = SIGMAS * jacobian @ spread / np.sqrt(np.einsum("ij,jk,ik->i", jacobian, spread, jacobian))[:, None]
         ends = np.array([np.diag([derived(best + sign * step) for step in steps]) for sign in (-1.0, 1.0)])
         sigmas = np.abs(ends - values).max(axis=0) / SIGMAS
-    values[0] = values[0] or np.nan
+    values[0] = values[0] if 0.0 < values[0] < np.inf else np.nan
     sigmas = np.where(np.isfinite(values + sigmas), sigmas, np.nan)
     judged = known and not np.isnan(samples)
     chi2 = _chi2(misfit(best), slopes, covariance, relative, samples) if judged else np.nan

@@ -819,9 +819,8 @@ def scatter_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str
     Where the dataset has a ``bias``, the truth (mean estimate - bias) is a cross.  The standard deviations stand above
     the legend with their errors, sigma/sqrt(2 n).
     """
-    variable = sampled(dataset)
-    if variables or variable is None:
-        raise SweepError("a scatter is of kept samples, not of a variable; choose its two components with --over")
+    if variables or (variable := sampled(dataset)) is None:
+        raise SweepError("a scatter is of kept samples of several components; choose two with --over, and no variable")
     if dataset["status"].ndim:
         left = ", ".join(f"{d} ({dataset.sizes[d]})" for d in dataset["status"].dims)
         raise SweepError(f"a scatter is of one point; choose it with --at AXIS=VALUE: {left}")
