@@ -44,6 +44,7 @@ LARGER = {
     1.0 / 1.5e4: "mas taken for seconds of time",
 }
 RATES = {365.25: "per day taken for per year", 0.01: "per century taken for per year"}
+RATES |= {10.0: "arcsec per century taken for mas per year"}
 # No star has a larger parallax (Proxima: 769 mas) or proper motion (Barnard's star: 10 400 mas/yr).
 LARGEST = {"mas": 1000.0, "mas/yr": 12_000.0, "mas/yr2": 300.0, "mas/yr3": 300.0}
 
@@ -126,16 +127,15 @@ def misfit(problem: Problem, kept: Indices, solution: Solution, names: Names) ->
         worst = max(groups, key=lambda group: group.squares)
         asked = " (are these quasars?)" * bool(np.any(problem.rows.at_rest[list(worst.rows)] & worst.part.at))
         said = f"chi2 is {ratio:.3g} times its expectation, most of it in {worst.words}{asked}"
-        enough = most > len(solution.estimate) and np.isfinite(_ratio(problem))
-        cause = _excess(problem, ratio) if enough else UNEXPLAINED
+        level = _ratio(problem)  # a sample may lack the few sources that do not fit
+        cause = _excess(problem, level) if most > len(solution.estimate) and np.isfinite(level) else UNEXPLAINED
         return Misfit(ratio, f"{said}; {cause}", ratio > EXCESS or cause != UNEXPLAINED)
     low = [one for one in groups if one.squares < 0.1 * one.expected and chdtr(one.dof, one.squares) < CHANCE]
+    said = f"chi2 is {ratio:.2g} times its expectation"
     if ratio >= DEFICIT or chdtr(solution.dof, solution.squares) > 100.0 * CHANCE:
         if not low:
             return Misfit(ratio)
         said = f"chi2 of {low[0].words} is {low[0].squares / low[0].expected:.2g} times its expectation"
-    else:
-        said = f"chi2 is {ratio:.2g} times its expectation"
     too_large = "errors are too large, or the tables are not independent"
     return Misfit(ratio, f"{said}: {_deficit(problem, low) or too_large}")
 
