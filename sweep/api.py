@@ -140,8 +140,9 @@ def run(
         raise SweepError(f"verify = {shown(verify)}: must be a number of points, from 0")
     beside = Beside(retry, fresh, only, keep, redo)
     options = {"axes": axes, "fixed": fixed, "sampling": sampling, "title": title}
+    place = store and located(store)  # before the study is loaded, whose code may change the working folder
     loaded = _study(study, options | {"points": points, "labels": labels, "exclude": exclude, "when": when})
-    loaded, place = with_part(loaded, store or default_store(loaded.name), part)
+    loaded, place = with_part(loaded, place or default_store(loaded.name), part)
     file, workers = None if cluster is None else Path(cluster), plain_value(workers)
     resources = Resources(workers, pool, scheduler, cluster=file, limits=limits, dashboard=dashboard, client=client)
     with _watching(loaded, progress) as watcher:

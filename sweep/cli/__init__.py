@@ -21,7 +21,7 @@ import sys
 import textwrap
 import threading
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stdout, suppress
+from contextlib import chdir, contextmanager, redirect_stdout, suppress
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
@@ -187,8 +187,10 @@ class AskedStudy:
         from linksweep.sweep.running.run import with_part
         from linksweep.sweep.stores.location import default_store
 
+        here = os.getcwd()
         study = load_trusted(self.study, self.trust, **self.overrides)
-        return with_part(study, default_store(study.name) if self.output is None else self.output, part)
+        with chdir(here):  # code that was imported may have changed it
+            return with_part(study, default_store(study.name) if self.output is None else self.output, part)
 
     def stored(self) -> "tuple[linksweep.Study, Location]":
         """Return the study of an existing store, named in its place, and the store; raises SweepError as `load`."""

@@ -136,10 +136,11 @@ def _logged(watching: Watching) -> Iterator[None]:
 
         handle(Lines(level), SENTENCES)
         SENTENCES.setLevel(logging.DEBUG if watching.log is not None else level)
+        logging.disable(logging.NOTSET)  # whatever the user's code did while it was imported
         for logger in (SENTENCES, RECORD):
-            # Handlers of the user's code would say it again.
+            # Handlers of that code would say it again.
             stack.callback(setattr, logger, "propagate", logger.propagate)
-            logger.propagate = False
+            logger.propagate = logger.disabled = False
         if watching.verbose:
             handle(Lines(logging.WARNING, "Dask: %(message)s"), *DASK)
         if watching.log is not None:

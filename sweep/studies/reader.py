@@ -107,6 +107,7 @@ class Overrides:
 
     written: Sequence[tuple[str, str]] | None = None
     by_place: dict[KeyPath, str] = field(default_factory=dict)
+    folder: Path = field(default_factory=Path.cwd)  # before a study is read, whose code may change it
 
     def apply(
         self, document: dict[str, Any], parameters: Collection[str], texts: Collection[str], problems: list[str]
@@ -127,7 +128,7 @@ class Overrides:
         for flag, text in written:
             option = f"{flag} {text if text.isprintable() and len(text) <= 80 else shown(text)}"
             try:
-                values = _values_of(flag, text, parameters, texts)
+                values = _values_of(flag, text, parameters, texts, self.folder)
             except SweepError as error:
                 problems.append(f"{flag} {shown(text)}: {error}")
                 continue
@@ -160,10 +161,12 @@ def _put(document: dict[str, Any], place: KeyPath, value: Any) -> None:
     document[key] = value
 
 
-def _values_of(flag: str, text: str, parameters: Collection[str], texts: Collection[str]) -> dict[KeyPath, Any]:
+def _values_of(
+    flag: str, text: str, parameters: Collection[str], texts: Collection[str], folder: Path
+) -> dict[KeyPath, Any]:
     """Return the values that an option sets, by their places; raises SweepError that says how it is written."""
     if flag == "--points":
-        return {("points", "file"): str(Path(text).resolve())}
+        return {("points", "file"): str((folder / text).resolve())}
     if flag == "--design":
         name, *numbers = text.split(":")
         if len(numbers) > 2:
@@ -322,7 +325,7 @@ def load_study(
     by_flag = {"--set": settings, "--axis": axes, "--points": [points], "--design": [design]}
     by_flag |= {"--range": ranges, "--exclude": exclude}
     written = [(flag, text) for flag, texts in by_flag.items() for text in texts if text is not None]
-    return _Reader(document, text, path, function or str(path), Overrides(written), Code()).study()
+    return _Reader(document, text, path.absolute(), function or str(path), Overrides(written), Code()).study()
 
 
 def study_from_dict(

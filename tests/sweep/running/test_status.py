@@ -150,6 +150,16 @@ def test_the_log_has_everything_with_times_and_tracebacks_and_grows(run_f, tmp_p
     assert (tmp_path / "run.log").read_text().startswith(first)
 
 
+def test_code_that_changes_its_process_as_it_is_imported_moves_no_store_and_silences_no_run(tmp_path, sweep_here):
+    changing = "import logging, os\nos.chdir('/')\nlogging.disable()\nlogging.getLogger('linksweep').disabled = True\n"
+    (tmp_path / "f.py").write_text(changing + CODE.format(fails="False"))
+    (tmp_path / "x.csv").write_text("x\n1\n2\n")
+    code, _, err = sweep_here("run", "f.py:f", "--points", "x.csv", "-o", "s.zarr", cwd=tmp_path)
+    assert (code, "wrote s.zarr" in err, (tmp_path / "s.zarr").exists()) == (0, True, True), err
+    code, _, err = sweep_here("run", "f.py:f", "--axis", "x=1,2", cwd=tmp_path)
+    assert (code, (tmp_path / "results" / "f.zarr").exists()) == (0, True), err
+
+
 @pytest.mark.parametrize("option", ["--log", "--events"])
 @pytest.mark.parametrize("place", ["no/such/folder/run.log", ".", "/proc/run.log", "a\0b"])
 def test_a_file_that_cannot_be_written_ends_it_before_anything_is_computed(run_f, tmp_path, option, place):
