@@ -28,6 +28,7 @@ from pydantic import (
 )
 
 from linksweep.sweep.contract import MOST_VALUES, REFERENCE
+from linksweep.sweep.contract.rows import KEY_BYTES
 
 FORMAT = 7
 
@@ -75,6 +76,18 @@ def whole(content: bytes | None, expected: str) -> bytes:
     if content is None or checksum(content) != expected:
         raise ValueError(MISSING if content is None else "its content is another one")
     return content
+
+
+def whole_chunk(content: bytes | None, expected: str, is_text: bool = False) -> bytes:
+    """Return the content of a chunk; raises ValueError as `whole`, and where more would be unpacked than is written."""
+    chunk = whole(content, expected)
+    # The header of a Zstandard frame, by RFC 8878: which fields there are, and the size.
+    flags = int.from_bytes(chunk[4:5])
+    start, length = 5 + (not flags & 32) + (0, 1, 2, 4)[flags & 3], (flags >> 5 & 1, 2, 4, 8)[flags >> 6]
+    size = int.from_bytes(chunk[start : start + length], "little") + 256 * (length == 2)
+    if not 0 < size <= (MOST_BYTES if is_text else 8 * MOST_VALUES):
+        raise ValueError("more would be unpacked from it than is written")
+    return chunk
 
 
 def sealed(document: Mapping[str, Any], file: str) -> bytes:
@@ -164,14 +177,6 @@ def row_type(row: Sequence[Any]) -> np.dtype[np.void]:
     return np.dtype(fields)
 
 
-def _is_row(row: list[Any]) -> list[Any]:
-    try:
-        row_type(row)
-    except (TypeError, RecursionError) as error:
-        raise ValueError("its rows have another type") from error
-    return row
-
-
 class _Part(BaseModel):
     model_config = ConfigDict(strict=True, defer_build=True)
 
@@ -209,10 +214,20 @@ class Manifest(_Written):
 
     store: str
     revision: Count = 0
-    row: Annotated[list[Any], AfterValidator(_is_row)] = []
+    row: list[Any] = []
     samples_width: Annotated[int, Field(ge=0, lt=2**28)] = 0
     parts: list[LedgerPart] = []
     documents: dict[Literal["failures", "study"], File] = {}
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        try:
+            width = KEY_BYTES + row_type(self.row).itemsize  # with 8 bytes for a text, which has 4 or more in the file
+        except (TypeError, RecursionError) as error:
+            raise ValueError("its rows have another type") from error
+        if any(part.records * width > 4 * part.rows.size for part in self.parts):
+            raise ValueError("it has more records than are in its files")
+        return self
 
     def sealed(self) -> bytes:
         """Return the content of the file `MANIFEST`."""
@@ -247,13 +262,18 @@ class _Codec(_Part):
     name: Literal["bytes", "vlen-utf8", "zstd", "crc32c"]
 
 
+class _About(_Part, extra="allow"):
+    coordinates: str = ""
+    symbols: Json[Texts] = {}
+
+
 class _Array(_Part):
     shape: list[Count]
     grid: Annotated[Literal["regular"], Field(validation_alias=AliasPath("chunk_grid", "name"))]
     sizes: Annotated[list[Size], Field(validation_alias=AliasPath("chunk_grid", "configuration", "chunk_shape"))]
     codecs: list[_Codec]
     dimension_names: list[Name] = []
-    attributes: Object
+    attributes: Annotated[_About, BeforeValidator(_flat_enough)]
 
     @property
     def chunks(self) -> int:
@@ -261,6 +281,7 @@ class _Array(_Part):
         if (
             len({len(self.shape), len(self.sizes), len(self.dimension_names)}) > 1
             or math.prod(self.sizes) > MOST_VALUES
+            or [codec.name for codec in self.codecs[1:]] != ["zstd", "crc32c"]
         ):
             raise ValueError("an array with such chunks is never written")
         return math.prod(-(-n // size) for n, size in zip(self.shape, self.sizes, strict=True))
@@ -347,6 +368,10 @@ class Root(_Part):
         expected = {name: array.chunks for name, array in self.arrays.items()}
         if listed != Counter(expected):
             raise ValueError("it has other checksums than chunks")
+        coordinates = {n for a in self.arrays.values() for n in (*a.dimension_names, *a.attributes.coordinates.split())}
+        axes = set(self.arrays["status"].dimension_names if "status" in self.arrays else ())
+        if other := [n for n in self.arrays.keys() - coordinates if not axes <= {*self.arrays[n].dimension_names}]:
+            raise ValueError(f"{other[0]} has other axes than the status")
         return self
 
 

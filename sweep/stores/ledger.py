@@ -185,7 +185,7 @@ def read_chunk(location: Location, reference: bytes) -> bytes:
     """Return the content of a chunk; raises SweepError where it is missing, damaged or cannot be read."""
     file = file_of(reference)
     with reading(location), refused(ValueError, said=f"{file} cannot be read: ", where=location):
-        return integrity.whole(location.get(file), reference.hex())
+        return integrity.whole_chunk(location.get(file), reference.hex())
 
 
 # Bytes from which on a part is finished: a compromise between few files for many blocks and what each flush writes

@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Literal
 from uuid import uuid4
 
 from linksweep.sweep.contract import SweepError, needed, refused
+from linksweep.sweep.stores.integrity import MOST_BYTES
 
 if TYPE_CHECKING:
     from obstore.store import S3Store
@@ -85,7 +86,10 @@ class Folder:
     def get(self, key: str) -> bytes | None:
         """Return the content of a file, None where there is none."""
         with suppress(FileNotFoundError, NotADirectoryError):
-            return self._at(key).read_bytes()
+            path = self._at(key)
+            if path.stat().st_size > MOST_BYTES:
+                raise OSError(f"{key} is larger than linksweep writes a file")
+            return path.read_bytes()
         return None
 
     def get_all(self, keys: Iterable[str]) -> dict[str, bytes | None]:

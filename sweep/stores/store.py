@@ -560,7 +560,8 @@ def decode(root: Mapping[str, Any], location: Location) -> "xr.Dataset":
     there, damaged = dict[str, bytes](), dict[str, str]()
     for key, checksum in expected.items():
         with integrity.noting(damaged, key):
-            there[key] = integrity.whole(contents[key], checksum)
+            is_text = arrays_of(root)[key.partition("/")[0]].get("data_type") == "string"
+            there[key] = integrity.whole_chunk(contents[key], checksum, is_text)
     if damaged:
         raise ValueError("; ".join(f"{key}: {problem}" for key, problem in damaged.items()))
     files = ledgers.Files(location, later, {**there, ROOT: json.dumps(root).encode()})

@@ -23,7 +23,7 @@ from linksweep.sweep.running.run import find_store, identity, open_store, plan_s
 from linksweep.sweep.running.scaling import measure_scaling
 from linksweep.sweep.running.status import status_report
 from linksweep.sweep.stores import ledger, location
-from linksweep.sweep.stores.integrity import MANIFEST, sealed, unsealed
+from linksweep.sweep.stores.integrity import MANIFEST, checksum, sealed, unsealed
 from linksweep.sweep.stores.ledger import file_of, path_of
 from linksweep.sweep.stores.location import Folder, Holder, holder, located, locked, short_name, store_named
 from linksweep.sweep.stores.store import OpenStore, Store, check, chunk_checksums, create_store, repair

@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import os
 import random
 import shutil
 import warnings
@@ -11,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import xarray as xr
+from numcodecs import zstd
 
 import linksweep
 from tests.sweep import opening
@@ -334,9 +336,31 @@ def test_every_command_gives_a_sentence_about_a_forged_document(here, sweep_here
             assert code in (0, 1, 2), (trial, command, file, at, repr(value)[:50])
 
 
-@pytest.mark.parametrize("field", ["title", "generation", "study_meaning", "manifest"])
-def test_the_field_is_named(coin_store, tmp_path, field):
-    shutil.copytree(coin_store, tmp_path / "s.zarr")
-    opening.forge(tmp_path / "s.zarr", lambda attributes: attributes.update({field: [1]}))
-    with pytest.raises(linksweep.SweepError, match=rf"zarr\.json is damaged \(attributes\.{field}: "):
-        linksweep.open(tmp_path / "s.zarr")
+ARRAYS = "consolidated_metadata", "metadata"
+FORGED = [(("attributes", name), [1], name) for name in ("title", "generation", "study_meaning", "manifest")]
+FORGED += [((*ARRAYS, "share", "dimension_names", 0), "z", "share has other axes")]
+FORGED += [((*ARRAYS, "metal", "attributes", "symbols"), '{"tin": 5}', "metal.attributes.symbols.tin: ")]
+FORGED += [(("attributes", "manifest", opening.IN_TEXT, "parts", 0, "records"), 2**28 - 1, "more records than")]
+FORGED += [((*ARRAYS, "share", "codecs", 2, "name"), "zstd", "such chunks")]
+
+
+@pytest.mark.parametrize(("at", "value", "said"), FORGED)
+def test_the_field_is_named(coin_store, tmp_path, at, value, said):
+    shutil.copytree(coin_store, store := tmp_path / "s.zarr")
+    document = opening.replaced(json.loads((store / "zarr.json").read_text()), at, value)
+    (store / "zarr.json").write_bytes(opening.sealed(document, "zarr.json"))
+    with pytest.raises(linksweep.SweepError, match=rf"zarr\.json is damaged \(.*{said}"):
+        linksweep.open(store)
+
+
+def test_what_would_fill_the_memory_is_not_read(coin_store, tmp_path):
+    shutil.copytree(coin_store, store := tmp_path / "s.zarr")
+    chunks = opening.chunk_checksums(opening.OpenStore(store).root)
+    chunk = next(file for file in chunks if file.startswith("share/"))
+    (store / chunk).write_bytes(content := zstd.compress(bytes(2**28)))
+    changed = json.dumps(chunks | {chunk: opening.checksum(content)})
+    opening.forge(store, lambda attributes: attributes.update(chunk_checksums=changed))
+    for said in (f"{chunk}: more would be unpacked", "zarr.json is larger"):
+        with pytest.raises(linksweep.SweepError, match=said):
+            linksweep.open(store)
+        os.truncate(store / "zarr.json", 2**32)

@@ -104,8 +104,8 @@ def test_a_study_that_shrinks_leaves_the_store_as_it_is(path, coins):
 def turn(number, shape=(50, 40)):
     status = np.random.default_rng(number).integers(0, 2, shape, dtype=np.int8)
     values = {"value": np.where(status == 1, float(number), np.nan), "again": np.full(shape, float(number))}
+    values["constant"] = np.arange(status.size).reshape(shape)
     variables = {name: (("x", "y"), array) for name, array in (values | {"status": status}).items()}
-    variables["constant"] = ("x",), np.arange(shape[0])
     return xr.Dataset(variables, attrs={"study_digest": "", "turn": str(number)})
 
 
