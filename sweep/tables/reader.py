@@ -323,7 +323,7 @@ def _layout(content: bytes) -> tuple[list[str], list[str], str, int]:
     header = lines[at]
     unquoted = re.sub(r'"[^"]*"', "", header)
     best = max(DELIMITERS, key=unquoted.count)
-    delimiter = best if best in unquoted else " "
+    delimiter = best if best in unquoted or len(_spaced(header)) == 1 else " "  # of one column, cells may have blanks
     row = next((_fields(line, delimiter) for line in lines[at + 1 :] if line.strip() and line[0] != "#"), [])
     names, units, first = _fields(header, delimiter), None, at
     if delimiter == " " and len(names) != len(row):

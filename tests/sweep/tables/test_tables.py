@@ -212,7 +212,7 @@ GAIA += "# - {name: n, datatype: int16}\nra,n\n1.5,null\nnull,3\n"
 BIG = 4295806720123456789, 4295806720123456787
 GAPS = [(f"source_id,ra\n{BIG[0]},1.0\n,2.0\n{BIG[1]},\n", {"source_id": [BIG[0], None, BIG[1]], "ra": [1, 2, None]})]
 GAPS += [("ra,ok,ok,n\n1,t,t,\n2,,,3\n", {"ra": [1, 2], "ok": ["t", None], "n": [None, 3]})]  # one is there twice
-GAPS += [(GAIA, {"ra": [1.5, None], "n": [None, 3]})]
+GAPS += [(GAIA, {"ra": [1.5, None], "n": [None, 3]}), ("city\nNew York\nBonn\n", {"city": ["New York", "Bonn"]})]
 
 
 @pytest.mark.parametrize(("text", "columns"), GAPS)
