@@ -177,19 +177,18 @@ def lines(dataset: xr.Dataset, variable: str, over: str, least: int = 2) -> Line
     """Return a quantity along an axis, for every combination of the others.
 
     Points that the study excludes do not belong to a line, and a line may have none.  Raises SweepError for an unknown
-    quantity or axis, points that are not done, values that are not finite, and lines of fewer than ``least`` points.
+    quantity or axis, points that are not done, values that are not finite, and where no line has ``least`` points.
     """
     quantity.require_axis(dataset, variable, over)
     made = lines_of(dataset, variable, over, least)
     quantity.require_done(dataset)
     for line in made.lines:
-        bad, n = ~np.isfinite(line.y), len(line.x)
-        if bad.any():
+        if (bad := ~np.isfinite(line.y)).any():
             raise SweepError(f"{variable} is not a finite number{made.at(line, line.x[bad][0])}")
-        if 0 < n < least:
-            raise SweepError(f"at least {least} points are needed along {over}; there are {n}{made.at(line)}")
-    if not any(len(line.x) for line in made.lines):
-        raise SweepError("the study has no point there")
+    longest = max(made.lines, key=lambda line: len(line.x))
+    if (n := len(longest.x)) < least:
+        words = f"at least {least} points are needed along {over}; there are {n}{made.at(longest)}"
+        raise SweepError(words if n else "the study has no point there")
     return made
 
 
@@ -292,8 +291,8 @@ def fit_power_law(dataset: xr.Dataset, variable: str, over: str, expected: float
         apart = (row["exponent"] - exponent) / error if error > 0.0 else math.nan
         if np.isfinite(wanted).any():
             row |= {"expected": exponent, "deviation": apart}
-        within = "as expected" if abs(apart) <= DEVIATION_ALLOWED else "NOT as expected"
-        row["conclusion"] = quantity.EXCLUDED if not row["points"] else within if math.isfinite(apart) else ""
+        if math.isfinite(apart):
+            row["conclusion"] = "as expected" if abs(apart) <= DEVIATION_ALLOWED else "NOT as expected"
     shown = ["exponent", "expected", "deviation", "p_value", "points", "chi2", "dof", "amplitude", "pivot"]
     notes = _notes(f"{variable} = amplitude x ({over} / pivot)^exponent", made, rows)
     return made.dataset(rows, [*shown, "conclusion"], notes, result="law", law="power")
@@ -329,9 +328,10 @@ def fit_levelling(dataset: xr.Dataset, variable: str, over: str, fall: float = 0
     if not 0.0 < fall < 1.0:
         raise SweepError(f"fall = {fall:g}: must be above 0 and below 1, a fraction")
     made = lines(dataset, variable, over, least=LEVELLING_POINTS)
-    rows = _fitted(made, lambda x, y, errors, samples: levelling(x, y, errors, fall, samples))
+    rows = _fitted(made, lambda x, y, errors, samples: levelling(x, y, errors, fall, samples), LEVELLING_POINTS)
     for row, line in zip(rows, made.lines, strict=True):
-        row["conclusion"] = _levelling_in_words(row, line.x, made.over_unit) if row["points"] else quantity.EXCLUDED
+        if "plateau" in row:
+            row["conclusion"] = _levelling_in_words(row, line.x, made.over_unit)
     formula = f"{variable}^2 = plateau^2 + c exp(-rate x {over}); errors are scaled where chi2 > dof"
     shown = ["plateau", "p_value", "points", "chi2", "dof", "conclusion"]
     return made.dataset(rows, shown, _notes(formula, made, rows), result="law", law="levelling", fall=fall)
@@ -370,8 +370,7 @@ def ratio(dataset: xr.Dataset, variable: str, axis: str, of: Any, to: Any) -> xr
         ((dimension, hits),) = quantity.indices(dataset, {axis: value}).items()
         if len(hits) > 1:
             raise SweepError(f"{axis} = {value} is at {len(hits):,} points along {dimension}, and a ratio is of two")
-        places.append({dimension: hits[0]})
-    for place in places:
+        places.append(place := {dimension: hits[0]})
         quantity.require_done(dataset.isel(place))
         quantity.numbers(dataset.isel(place), variable)
     dims = [str(d) for d in dataset[variable].dims if d not in places[0]]
@@ -381,19 +380,20 @@ def ratio(dataset: xr.Dataset, variable: str, axis: str, of: Any, to: Any) -> xr
     return quantity.grid_of(dataset, dims).assign(values)
 
 
-def _fitted(made: Lines, fit: Callable[..., dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the numbers of a fit to every line, none for lines that the study excludes.
+def _fitted(made: Lines, fit: Callable[..., dict[str, Any]], least: int = 2) -> list[dict[str, Any]]:
+    """Return the numbers of a fit to every line; of one with fewer than ``least`` points why it has none.
 
     Raises SweepError for a fit that fails, and for values that are not above 0.
     """
     rows: list[dict[str, Any]] = []
     for line in made.lines:
-        row: dict[str, Any] = {"points": len(line.x)}
+        n = len(line.x)
+        row = {"points": n, "conclusion": "" if n >= least else "too few points" if n else quantity.EXCLUDED}
         rows.append(row)
         if (bad := ~(line.y > 0.0)).any():
             value, place = line.y[bad][0], made.at(line, line.x[bad][0])
             raise SweepError(f"{made.variable} must be above 0; it is {value:g}{place}")
-        if len(line.x):
+        if n >= least:
             try:
                 row |= (law := line.fitted(fit))
             except ValueError as error:
@@ -415,8 +415,7 @@ def _expected(dataset: xr.Dataset, made: Lines, line: Line) -> float:
     """Return the exponent that a claim of the study states for a line, NaN if none does."""
     place = made.place(line)
     for claim in quantity.claims_of(dataset):
-        law = claim.slope
-        if law is None or (law.variable, law.over) != (made.variable, made.over):
+        if (law := claim.slope) is None or (law.variable, law.over) != (made.variable, made.over):
             continue
         is_meant = law.component is None or any(quantity.is_meant(one, law.component) for one in place.values())
         if is_meant and all(place.get(k) == v for k, v in claim.where.items()):
@@ -533,7 +532,7 @@ def interpolate(dataset: xr.Dataset, variable: str, over: str, at: float) -> xr.
     if not isinstance(at, bool | int | float | np.number) or np.isnan(at):  # a text may be meant in another unit
         raise SweepError(f"{over} = {shown(at)}: must be a number, in the unit of the axis")
     at, rows = float(at), np.full((len(made.lines), 2), np.nan)
-    for row, line in ((row, line) for row, line in zip(rows, made.lines, strict=True) if len(line.x)):
+    for row, line in ((row, line) for row, line in zip(rows, made.lines, strict=True) if len(line.x) > 1):
         x = line.x
         if not x[0] <= at <= x[-1]:
             wanted, first, *_, last = plain([at, *x.tolist()])

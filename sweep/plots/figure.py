@@ -592,6 +592,7 @@ def law_figure(dataset: xr.Dataset, variables: list[str], along: Sequence[str]) 
         look, band = {**mark, "linestyle": "none", "markersize": 3.5}, {"color": mark["color"], **style.BAND}
         known = law["exponent_error"] if law["exponent_error"] > 1e-9 else 0.0  # less is of rounding
         fitted = _power(dataset, over, formatting.with_error(law["exponent"], known).replace(" ± ", r"\pm"))
+        fitted = fitted if len(x) > 1 else "too few points"
         text = f"{words}: {fitted}" if words else style.SIMULATED if error.any() else style.COMPUTED
         upper.errorbar(x, y, yerr=error if error.any() else None, label=text, **look)
         upper.plot(fine, curve, color=mark["color"], linewidth=1.0, label="" if words else f"fit {fitted}")

@@ -138,8 +138,8 @@ def test_delimited_text(text, names, tmp_path):
         np.testing.assert_array_equal([table[n] for n in names], [[10.5, 200.0], [20.0, -3.0], [1, 2]])
     if "deg" in text:
         assert [table[n].unit for n in names] == [u.deg, u.deg, None]
-    spaced = written(tmp_path, "spaced.txt", "ra name\n1 NGC\u00a0224\n")
-    assert read_table(spaced)["name"].tolist() == ["NGC\u00a0224"]
+    spaced = "ra name\n1 NGC\u00a0224\n"
+    assert read_table(written(tmp_path, "spaced.txt", spaced))["name"].tolist() == ["NGC\u00a0224"]
 
 
 @pytest.mark.parametrize("below", BELOW)
