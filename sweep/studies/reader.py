@@ -248,13 +248,14 @@ def parse_range(text: str, is_text: bool = False) -> Any:
 
 
 def parse_places(texts: Sequence[str]) -> dict[str, str]:
-    """Return values of axes by name, from texts like "model=gaia,v_max=16".
+    """Return values of axes by name, from texts like "model=gaia,v_max=16"; values may have commas.
 
     Raises SweepError that lists what is wrong.
     """
     places: dict[str, str] = {}
     problems = []
-    for part in (part for text in texts for part in text.split(",")):
+    # D(a=1, b=2) is the label of an object
+    for part in (part for text in texts for part in re.split(r",(?=\s*[\w.+-]+\s*=)(?![^(]*\))", text)):
         name, value = split_assignment(part)
         if not name:
             problems.append(f"{shown(part)}: a place is AXIS=VALUE, several with commas between them")
