@@ -584,7 +584,7 @@ def _crossing(line: Line, i: int, threshold: float, over_unit: str) -> tuple[flo
     mirrored = replace(line, y=np.flip(line.y), errors=np.flip(line.errors))
     after = _reach(line, z, i, fraction, threshold)
     before = _reach(mirrored, -z[::-1], len(z) - 2 - i, 1.0 - fraction, threshold)
-    back = np.exp if _is_logarithmic(line.x, over_unit) else np.positive
+    back = np.positive if z is line.x else np.exp
     with np.errstate(over="ignore"):  # a reach beyond all floats is not known
         places = back(np.array([place, after, -before]))
     error = np.abs(places - places[0]).max() / SIGMAS
@@ -629,13 +629,9 @@ def _pair(line: Line, i: int, threshold: float | None = None) -> tuple[Array, Ar
     return values / unit - (threshold or 0.0) / unit, _relative(errors, np.full(2, unit)), unit
 
 
-def _is_logarithmic(x: Array, unit: str) -> bool:
-    return bool(np.all(x > 0.0)) and unit not in LOGARITHMIC_UNITS
-
-
 def on_scale(x: Array, unit: str) -> Array:
     """Return the axis on the scale for interpolation: its logarithm, or itself if it is one already or has none."""
-    return np.log(x) if _is_logarithmic(x, unit) else x
+    return np.log(x) if np.all(x > 0.0) and unit not in LOGARITHMIC_UNITS else x
 
 
 # Fits: arrays in, numbers out

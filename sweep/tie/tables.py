@@ -26,7 +26,7 @@ from linksweep.core.tie.forecast import RELEASES, releases_at
 from linksweep.core.tie.problem import Problem, Solution
 from linksweep.core.tie.transits import COLOUR, ERROR, MODELS, NOISE, PATH, VALUE, Paths, Transits, joint, misfit
 from linksweep.core.unknowns import PARAMETERS
-from linksweep.sweep.contract import SweepError, needed, refused, shown
+from linksweep.sweep.contract import SweepError, needed, refused, shown, suggest
 from linksweep.sweep.formatting import first_of
 from linksweep.sweep.tables import columns as archives
 from linksweep.sweep.tables.columns import ACCELERATIONS, CORRELATIONS, Columns, first_found, rows_where
@@ -195,10 +195,13 @@ def as_read(link: Mapping[str, Any], table: Any, digest: str, asked: ApplyOption
 
 
 def built_in(path: Path) -> Path:
-    """Return the file of a built-in table by its name; any other path as it is."""
+    """Return the file of a built-in table by its name; any other path as it is, unless it is a mere name of nothing."""
     if path.suffix or len(path.parts) > 1 or path.exists():
         return path
-    return next((file for file in sorted(_BUILT_IN.glob("*.ecsv*")) if file.name.split(".")[0] == path.name), path)
+    known = {file.name.split(".")[0]: file for file in sorted(_BUILT_IN.glob("*.ecsv*"))}
+    if path.name not in known:
+        raise SweepError(f"neither a file nor a built-in table{suggest(path.name, [*known])}", str(path))
+    return known[path.name]
 
 
 def _usual_choices(table: Any, options: TableOptions) -> list[str]:

@@ -195,7 +195,7 @@ COMMANDS = [
     ("find STORE --where share=1", "--where: 'share=1': a condition is VARIABLE, one of < <= > >="),
     ("find STORE --where share<1_mas", "share is in no unit, not convertible to mas"),
     *(("tie psrpi nowhere.fits", "nowhere.fits: no such file"), ("tie psrpi icrf3", "within 1 arcsec")),
-    ("tie psrpi psrpi --unknowns spinn", "'spinn' are not known"),
+    *(("tie psrpi icrf4", "did you mean 'icrf3'?"), ("tie psrpi psrpi --unknowns spinn", "'spinn' are not known")),
     ("tie psrpi psrpi --column ra", "must be [TABLE:]KEY=COLUMN"),
     ("tie psrpi psrpi -o out.nc", "must end with .zarr, .png"),
     ("tie icrf3 icrf2 --unknowns spin", "nothing in the tables determines omega_x"),
