@@ -13,7 +13,7 @@ import xarray as xr
 from matplotlib import ticker
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from scipy.special import ndtri
+from scipy.special import chdtrc, ndtri
 
 from linksweep.core import missions
 from linksweep.core.frames import DEGREE, GALACTIC_AXES, Array, galactic, position
@@ -377,19 +377,19 @@ def spectrum_figure(dataset: xr.Dataset) -> Figure:
 
 
 def separation_figure(dataset: xr.Dataset) -> Figure:
-    """Return the shares of sources beyond each normalised separation, X before the fit and sqrt(2 Q/n) after it, beside
-    the Rayleigh distribution that they follow if the errors are right.
+    """Return the shares of sources beyond each normalised separation, X before the fit and the X that is as rare as Q
+    of n observations after it, beside the Rayleigh distribution that they follow if the errors are right.
     """
     before, count = _require(dataset, "normalised_separation", MANY_ROWS), dataset["n_observations"].values
     used = (count > 0.0) & (before > 0.0)
     if not np.any(used):
         raise SweepError("no source has a separation: no row has a position or motion that the satellite predicts")
-    before, after = before[used], np.sqrt(2.0 * dataset["discrepancy"].values[used] / count[used])
+    before, beyond = before[used], chdtrc(count[used], dataset["discrepancy"].values[used])
+    after = np.sqrt(-2.0 * np.log(np.maximum(beyond, 1e-300)))  # which may underflow
     n, top = len(before), max(float(before.max()), 5.0)
     x = np.geomspace(0.1, top, 400)
     figure, (axes,) = style.new_figure(6.4, 4.2)
-    words = ("before the fit, $X$", r"after the fit, $\sqrt{2\,Q_i/n_i}$")
-    for number, (one, label) in enumerate(zip((before, after), words, strict=True)):
+    for number, (one, label) in enumerate([(before, "before the fit, $X$"), (after, "after it, as rare as $Q_i$")]):
         look = {"color": style.COLOURS[number], "linestyle": style.LINES[number], "linewidth": 1.2, "label": label}
         axes.step([x[0], *np.sort(one)], [1.0, *(np.arange(n, 0, -1) / n)], **look)
     axes.plot(x, np.exp(-0.5 * x**2), color="black", linewidth=1.2, label="Rayleigh: the errors are right")

@@ -92,11 +92,13 @@ def test_a_forecast_has_its_epochs_and_ranking():
         linksweep.plot(linksweep.forecast("psrpi", "psrpi", "orientation"))
 
 
-def test_a_separation_is_that_of_rayleigh_where_the_errors_are_right(link):
-    """The shares beyond X before the fit and sqrt(2 Q/n) after it, which is X of two observations."""
+def test_a_separation_is_that_of_rayleigh_where_the_errors_are_right():
+    """The shares beyond X before the fit, and after it beyond the X of two observations that is as rare as Q of n."""
+    link = linksweep.tie("dr4-gaia", "dr4-vlbi", "orientation,spin")
     [axes] = linksweep.plot(link, "separations").axes
     used = link.normalised_separation.values > 0.0
-    wanted = link.normalised_separation.values[used], np.sqrt(2.0 * link.discrepancy / link.n_observations).values[used]
+    beyond = stats.chi2.sf(link.discrepancy.values[used], link.n_observations.values[used])
+    wanted = link.normalised_separation.values[used], np.sqrt(stats.chi2.isf(beyond, 2))
     for line, values in zip(axes.lines, wanted, strict=False):
         np.testing.assert_allclose(line.get_xdata()[1:], np.sort(values))
 
