@@ -37,7 +37,7 @@ REFUSED += [(NO_NUMBERS, ["--table", "t.dat"], "needs columns TYC1, TYC2 and TYC
 REFUSED += [({"dec": MaskedColumn([1.0] * 4, mask=[0, 0, 1, 0])}, [], "no dec in row 3")]
 REFUSED += [({"ra_error": None}, [], "give its error in arcsec with --error"), ({"pmdec": [np.nan] * 4}, [], NO_MOTION)]
 REFUSED += [({"ra_error": [0.0, 1.0, 1.0, 1.0]}, [], "a ra_error that is not above 0 in row 1 (0)")]
-REFUSED += [({"ref_epoch": None}, [], "motions need the epoch of the positions"), ({"pmra": [2e4] * 4}, [], "no star has")]
+REFUSED += [({"ref_epoch": None}, [], "motions need the epoch"), ({"pmra": [2e4] * 4}, [], "no star has")]
 REFUSED += [({"TYC3": [1, 4, 1, 0]}, [], "a TYC3 outside 1..3 in row 2, 4")]
 REFUSED += [({"TYC1": [1] * 4, "TYC2": [13] * 4, "TYC3": [1, 2, 1, 3]}, [], "the Tycho identifier of an earlier row")]
 REFUSED += [(TWICE, ["--supplement", "extra.ecsv"], "TYC 5-6-1: in the star table and again in the supplement")]
