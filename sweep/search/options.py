@@ -17,6 +17,14 @@ class SearchOptions(Declared):
     epoch: float = option("epoch of the galaxy positions", "YEAR", 2000.0, "float", minimum=1700.0, maximum=2300.0)
     ref_epoch: Pairs = mapping("epoch of the stars, instead of a column ref_epoch", "[NAME=]YEAR")
     missing_pm: str = one_of("what to do with stars that have no proper motion", "error", "zero")
+    merge_radius: float | None = option(
+        "entries this close are one galaxy; default the sum of their radii",
+        "ARCSEC",
+        None,
+        "float",
+        above=0.0,
+        maximum=3600.0,
+    )
     k_sigma: float = option("offsets above this many sigma are uncertain", "K", 3.0, "float", above=0.0)
     crowding_radius: float = option(
         "uncertain: --crowding-stars within this radius", "ARCSEC", 120.0, "float", above=0.0, maximum=3600.0

@@ -11,6 +11,7 @@ Source: Metz & Geffert 2004, Sect. 3; the rules of the classes replace the paper
 import io
 import json
 import os
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -55,10 +56,12 @@ NUMBERS = ("ra", "dec", "ra_error", "dec_error", *MOTIONS, "ref_epoch", *MAGNITU
 # The parts of a Tycho identifier and their largest values.  Source: Hog et al. 2000, the Tycho-2 catalogue (CDS I/259),
 # notes on TYC1-3.
 TYC = {"TYC1": 9537, "TYC2": 12121, "TYC3": 3}
-QUANTITIES = (*NUMBERS, *TYC, "PGC", "source_id", "name")
+QUANTITIES = (*NUMBERS, *TYC, "TYC", "PGC", "source_id", "name")
 
 # What stands for a missing identifier, as integers have no NaN.
 MISSING = {**dict.fromkeys((*TYC, "PGC"), 0), "source_id": np.iinfo(np.int64).min, "name": ""}
+
+_TYC_TEXT = re.compile(r"\s*(?:TYC\s*)?(\d{1,9})-(\d{1,9})-(\d{1,9})\s*", re.ASCII)
 
 
 # ---- matches of positions, in rad
@@ -173,12 +176,15 @@ class GalaxyCatalogue:
         return sky_tree(self.positions)
 
 
-def merge_galaxies(catalogues: Sequence[GalaxyCatalogue]) -> tuple[list[Indices], Indices]:
+def merge_galaxies(
+    catalogues: Sequence[GalaxyCatalogue], merge_radius: float | None = None
+) -> tuple[list[Indices], Indices]:
     """Return a galaxy's number for every entry of every catalogue, and the identifier of every galaxy (0 for none).
 
     Entries with the same identifier are one galaxy wherever they stand.  Otherwise an entry is the galaxy of an entry
-    of an earlier catalogue within the sum of both match radii (so that two entries found at one star are one galaxy),
-    one to one and closest first, unless both have identifiers.  Raises ValueError as `pairs_within`.
+    of an earlier catalogue within ``merge_radius`` (rad; by default the sum of both match radii, so that two entries
+    found at one star are one galaxy), one to one and closest first, unless both have identifiers.  Raises ValueError as
+    `pairs_within`.
     """
     labels: list[Indices] = []
     known = np.empty(0, dtype=np.int64)  # identifier of each galaxy so far
@@ -189,7 +195,8 @@ def merge_galaxies(catalogues: Sequence[GalaxyCatalogue]) -> tuple[list[Indices]
         names, _ = pd.factorize(np.where(identifier > 0, identifier, -1 - np.arange(len(identifier))))
         links = []
         for earlier, earlier_label in zip(catalogues, labels, strict=False):
-            at, entry, offset = pairs_within(earlier.tree, catalogue.tree, earlier.radius + catalogue.radius)
+            radius = earlier.radius + catalogue.radius if merge_radius is None else merge_radius
+            at, entry, offset = pairs_within(earlier.tree, catalogue.tree, radius)
             galaxy, there, here = earlier_label[at], earlier.positions.take(at), where.take(entry)
             columns = {"offset": offset, "dec": there.dec, "ra": there.ra, "entry_dec": here.dec, "entry_ra": here.ra}
             numbers = {"galaxy": galaxy, "entry": entry, "known": known[galaxy], "mine": identifier[entry]}
@@ -254,9 +261,10 @@ def cross_match(
     The result does not depend on the order of rows: pairs at equal offset are ordered by the place of their
     catalogue, then by position and identifier.  Raises ValueError as `pairs_within`.
     """
+    merge_radius = None if asked.merge_radius is None else asked.merge_radius * ARCSEC
     star_tree = sky_tree(stars)
     within = [pairs_within(star_tree, catalogue.tree, catalogue.radius) for catalogue in catalogues]
-    labels, identifiers = merge_galaxies(catalogues)
+    labels, identifiers = merge_galaxies(catalogues, merge_radius)
     each = []
     for place, ((star, entry, offset), label, catalogue) in enumerate(zip(within, labels, catalogues, strict=True)):
         galaxy, (ra, dec, ra_error, dec_error) = label[entry], catalogue.positions.take(entry)
@@ -461,10 +469,21 @@ def _read_motions(read: Columns, missing_pm: str, ref_epoch: float | None) -> di
 
 
 def _read_tyc(read: Columns) -> dict[str, Any]:
-    """Return the Tycho identifiers from three columns, nothing for a table without them."""
-    if not any(read.has(key) for key in TYC) or sum(read.require(key) for key in TYC) < len(TYC):
+    """Return the Tycho identifiers from three columns or one of text, nothing for a table without them."""
+    if any(read.has(key) for key in TYC):
+        if sum(read.require(key) for key in TYC) < len(TYC):
+            return {}
+        tyc = {key: read.integers(key) for key in TYC}
+    elif read.has("TYC"):
+        matches = [_TYC_TEXT.fullmatch(text) for text in read.text(str(read.name("TYC")), missing="")]
+        bad = np.array([match is None for match in matches])
+        read.check(bad, f"a {read.label('TYC')} that is no Tycho identifier like '1-13-1'")
+        if bad.any():
+            return {}
+        numbers = np.array([match.groups() for match in matches if match], dtype=np.int64)
+        tyc = dict(zip(TYC, numbers.T, strict=True))
+    else:
         return {}
-    tyc = {key: read.integers(key) for key in TYC}
     for key, limit in TYC.items():
         read.check((tyc[key] < 1) | (tyc[key] > limit), f"a {read.label(key)} outside 1..{limit}")
     read.check(pd.DataFrame(tyc).duplicated().to_numpy(), "the Tycho identifier of an earlier row")
@@ -526,7 +545,7 @@ def find_galaxies(
         contents[output] = records(matches).ecsv().encode()
     if table is not None:
         if without := [path for name, path in search.stars.items() if not {*TYC} <= {*result.stars[name]}]:
-            needed = "the 46-byte table needs columns TYC1, TYC2 and TYC3"
+            needed = "the 46-byte table needs columns TYC1, TYC2 and TYC3, or TYC with strings like '1-13-1'"
             raise SweepError([f"{path}: {needed}" for path in without])
         contents[table] = galaxy_table(matches.drop_dims("entry").to_dataframe()).encode("ascii")
     if figure is not None:
@@ -660,7 +679,7 @@ def summarise(result: SearchResult, columns: pd.DataFrame) -> dict[str, Any]:
         "reasons": {name: int(doubt.sum()) for name, doubt in matches.reasons.items()},
         "magnitude": magnitude,
         **{name: getattr(asked, name) for name in ("epoch", "k_sigma", "crowding_stars")},
-        "crowding_radius_arcsec": asked.crowding_radius,
+        **{f"{name}_arcsec": getattr(asked, name) for name in ("crowding_radius", "merge_radius")},
         "epoch_difference_yr": asked.epoch_difference,
         "second_epoch_error_mas": asked.second_epoch_error,
         "notes": notes,

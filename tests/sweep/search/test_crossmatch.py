@@ -17,14 +17,15 @@ from tests.tiers import examples
 grid_sky = st.lists(st.tuples(st.integers(0, 12), st.integers(0, 3), st.integers(0, 4)), min_size=1, max_size=12)
 MERGED = [
     # an identifier decides before the position
-    ([([10.0, 10.001], 3.0, [5, 6]), ([10.001, 70.0], 3.0, [5, 6])], [[0, 1], [0, 1]], [5, 6]),
-    ([([10.0], 3.0, [5]), ([10.0], 3.0, [6])], [[0], [1]], [5, 6]),
-    # entries within 3" + 2" are one galaxy and share the identifier
-    ([([10.0, 50.0], 3.0, [0, 0]), ([50.0 + 4 / 3600, 90.0], 2.0, [7, 8])], [[0, 1], [1, 2]], [0, 7, 8]),
+    ([([10.0, 10.001], 3.0, [5, 6]), ([10.001, 70.0], 3.0, [5, 6])], None, [[0, 1], [0, 1]], [5, 6]),
+    ([([10.0], 3.0, [5]), ([10.0], 3.0, [6])], None, [[0], [1]], [5, 6]),
+    # entries within 3" + 2" are one galaxy and share the identifier, unless a smaller radius is named
+    ([([10.0, 50.0], 3.0, [0, 0]), ([50.0 + 4 / 3600, 90.0], 2.0, [7, 8])], None, [[0, 1], [1, 2]], [0, 7, 8]),
+    ([([10.0, 50.0], 3.0, [0, 0]), ([50.0 + 4 / 3600, 90.0], 2.0, [7, 8])], 3.9, [[0, 1], [2, 3]], [0, 0, 7, 8]),
     # an entry gives its identifier to the galaxy at its place, and others have it too
-    ([([10.0], 3.0, [0]), ([10.0 + 1 / 3600, 50.0], 3.0, [7, 7])], [[0], [0, 0]], [7]),
+    ([([10.0], 3.0, [0]), ([10.0 + 1 / 3600, 50.0], 3.0, [7, 7])], None, [[0], [0, 0]], [7]),
     # one without identifier links the third catalogue too
-    ([([10.0], 1.0, [0]), ([10.0 + 1.5 / 3600], 1.0, [0]), ([10.0 + 3 / 3600], 1.0, [9])], [[0]] * 3, [9]),
+    ([([10.0], 1.0, [0]), ([10.0 + 1.5 / 3600], 1.0, [0]), ([10.0 + 3 / 3600], 1.0, [9])], None, [[0]] * 3, [9]),
 ]
 
 
@@ -116,10 +117,10 @@ def test_nothing_is_matched_twice_and_the_order_of_rows_does_not_matter(a, b, c,
     assert found == again
 
 
-@pytest.mark.parametrize(("catalogues", "labels", "identifiers"), MERGED)
-def test_entries_of_several_catalogues_are_one_galaxy(catalogues, labels, identifiers):
+@pytest.mark.parametrize(("catalogues", "merge", "labels", "identifiers"), MERGED)
+def test_entries_of_several_catalogues_are_one_galaxy(catalogues, merge, labels, identifiers):
     listed = [catalogue(positions(ra, np.zeros(len(ra))), radius, names) for ra, radius, names in catalogues]
-    found, names = crossmatch.merge_galaxies(listed)
+    found, names = crossmatch.merge_galaxies(listed, None if merge is None else merge * ARCSEC)
     assert ([label.tolist() for label in found], names.tolist()) == (labels, identifiers)
 
 

@@ -23,6 +23,7 @@ read_matches = partial(Table.read, format="ascii.ecsv")
 ARGUMENTS = ["stars.fits", "wide.csv", "sharp.ecsv", "--error", "wide=1", "--error", "sharp=0.3"]
 WITH_SUPPLEMENT = [*ARGUMENTS, "--supplement", "extra.ecsv"]
 NO_NUMBERS = {"TYC1": None, "TYC2": None, "TYC3": None}
+TYC = NO_NUMBERS | {"TYC": ["1-13-1", "1-13", "TYC 1-14-1", ""]}
 TWICE = {"TYC1": [1, 2, 3, 5], "TYC2": [6] * 4, "TYC3": [1] * 4}  # the last one is in the supplement, too
 NO_MOTION = "no proper motion (--missing-pm zero takes it as zero) in row 1, 2, 3, 4"
 REFUSED = [({}, ["-o", "wide.csv"], "wide.csv is one of the tables that are read")]
@@ -33,7 +34,7 @@ REFUSED += [({}, ["--radius", "wied=3"], "radius: no table 'wied'; did you mean 
 REFUSED += [({}, ["--radius", "wide=3", "--radius", "wide=4"], "radius: wide=3, wide=4: one is named twice")]
 REFUSED += [({}, ["--column", "ra"], "columns = 'ra': must be [NAME:]KEY=COLUMN")]
 REFUSED += [({}, ["--k-sigma", "-1"], "k_sigma = -1: must be a finite number > 0")]
-REFUSED += [(NO_NUMBERS, ["--table", "t.dat"], "needs columns TYC1, TYC2 and TYC3")]
+REFUSED += [(NO_NUMBERS, ["--table", "t.dat"], "needs columns TYC1, TYC2 and TYC3, or TYC with strings")]
 REFUSED += [({"dec": MaskedColumn([1.0] * 4, mask=[0, 0, 1, 0])}, [], "no dec in row 3")]
 REFUSED += [({"ra_error": None}, [], "give its error in arcsec with --error"), ({"pmdec": [np.nan] * 4}, [], NO_MOTION)]
 REFUSED += [({"ra_error": [0.0, 1.0, 1.0, 1.0]}, [], "a ra_error that is not above 0 in row 1 (0)")]
@@ -41,6 +42,7 @@ REFUSED += [({"ref_epoch": None}, [], "motions need the epoch"), ({"pmra": [2e4]
 REFUSED += [({"TYC3": [1, 4, 1, 0]}, [], "a TYC3 outside 1..3 in row 2, 4")]
 REFUSED += [({"TYC1": [1] * 4, "TYC2": [13] * 4, "TYC3": [1, 2, 1, 3]}, [], "the Tycho identifier of an earlier row")]
 REFUSED += [(TWICE, ["--supplement", "extra.ecsv"], "TYC 5-6-1: in the star table and again in the supplement")]
+REFUSED += [(TYC, [], "a TYC that is no Tycho identifier like '1-13-1' in row 2, 4")]
 
 
 def read_galaxy_table(path):
