@@ -460,6 +460,22 @@ def parse_limit(text: str) -> Limit:
     return Limit(match["variable"], match["sign"], number, unit)
 
 
+def points_where(dataset: xr.Dataset, limit: Limit) -> xr.Dataset:
+    """Return the points of a table or a design at which a condition is met, with all their results.
+
+    Raises SweepError for an unknown quantity, one with further dimensions, and points that are not done.
+    """
+    quantity.require_quantity(dataset, limit.variable)
+    array = quantity.numbers(dataset, limit.variable)
+    if further := ", ".join(str(d) for d in array.dims if d != POINT):
+        raise SweepError(f"{limit.variable} has {further} at each point: fix it with --at, or name it with --over")
+    quantity.require_done(dataset)
+    threshold = limit.number_in(unit := units_of(array.attrs))
+    if math.isnan(threshold):
+        raise SweepError(f"{limit.variable} is in {unit or 'no unit'}, not convertible to {limit.unit}")
+    return dataset.isel({POINT: np.flatnonzero(limit.is_met(array.values, threshold))})
+
+
 # Between points
 
 

@@ -327,7 +327,8 @@ def find(
 ) -> None:
     """Find where in STORE a condition is met along an axis, for every combination of the other axes.
 
-    Between the points of the grid the crossing is interpolated, with the error that follows from theirs.
+    Between the points of the grid the crossing is interpolated, with the error that follows from theirs.  For a table
+    or a design, whose points are in no order, the points that meet the condition are listed.
 
     \b
     sweep find results/quasars.zarr --where "sigma_spin < 1 uas/yr" --over v_max
@@ -337,6 +338,10 @@ def find(
 
     limit = laws.parse_limit(where)
     with part_of(store, at) as dataset:
+        if over is None and len(quantity.varied_parameters(dataset)) > 1:
+            met = laws.points_where(dataset, limit)
+            cli.print_headlines(met, as_json) if as_json or met["status"].size else cli.put(f"no point meets {limit}")
+            return
         result = laws.find(dataset, limit, quantity.require_axis(dataset, limit.variable, over))
     cli.print_result(result, "json" if as_json else "text")
 

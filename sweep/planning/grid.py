@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from linksweep.sweep.contract import Point, Status, SweepError, Value, shown
-from linksweep.sweep.studies.points import MAX_PROBLEMS
+from linksweep.sweep.studies.points import MAX_PROBLEMS, remarks
 from linksweep.sweep.studies.study import POINT, Study, are_met, is_other
 from linksweep.sweep.tables.columns import sorted_json
 
@@ -66,7 +66,7 @@ class Grid:
 
     @cached_property
     def warnings(self) -> list[str]:
-        """Sentences about conditions that no point meets, and what the experiment has ``said``."""
+        """Sentences about conditions that no point meets and about a design, and what the experiment has ``said``."""
         study, asked, warnings = self.study, self.study.sections.get("when", {}), list[str]()
         values = {name: (value,) for name, value in self._fixed.items()} | dict(study.axes)
         clauses = [("exclude", clause, False) for clause in study.excluded]
@@ -74,7 +74,7 @@ class Grid:
         for where, clause, is_declared in clauses:
             unmet = filter(None, (one.unmet(values[one.name], is_declared) for one in clause))
             warnings.extend(f"{where}: {sentence}" for sentence in unmet)
-        return [*warnings, *self.said]
+        return [*warnings, *remarks({} if study.points is None else study.points.origin), *self.said]
 
     def with_repeats(self, of_points: NDArray[Any]) -> NDArray[Any]:
         """Return an array over the points, (points, ...), in which a repeated one has what the first has: they are the

@@ -119,12 +119,20 @@ def require_free(place: Location, study: Study, about: Sequence[Mapping[str, Any
         raise SweepError("holds a store already; give a free place with -o", str(place))
 
 
+def _with_total(place: Where) -> Where:
+    """Return ``STORE.part-*-of-N`` for ``STORE.part-*`` where there are parts of one N alone; another place itself."""
+    store, is_all, rest = str(place).rpartition(".part-*")
+    parts = Part.among(located(store).beside(), located(store).name) if is_all and not rest else []
+    totals = {part.total for part in parts}
+    return f"{place}-of-{totals.pop()}" if len(totals) == 1 else place
+
+
 def _sources(places: Sequence[Where], trust: bool) -> list[_Source]:
     """Return what is there of the stores, parts in their order."""
     sources: list[_Source] = []
     studies: dict[tuple[Any, ...], tuple[Study, Layout | None]] = {}
     why = "no store there; name those to merge, as in S.part-*"
-    for location in (located(one) for place in places for one in Part.places(place)):
+    for location in (located(one) for place in places for one in Part.places(_with_total(place))):
         opened = store_at(location)
         if (runs := holder(location)) is not None:
             if opened is None or PART not in opened.attributes:

@@ -123,8 +123,7 @@ def status_report(store: Where) -> dict[str, Any]:
     """
     location = located(store)
     with reading(location):
-        names = location.beside() if location.is_free() else []
-    parts = sorted(part for name in names if (part := Part.named(name)) and name == part.place(location.name))
+        parts = Part.among(location.beside(), location.name) if location.is_free() else []
     if parts:
         return _of_parts(location, parts)
     runs, opened = holder(location), OpenStore(location)

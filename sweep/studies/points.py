@@ -46,6 +46,7 @@ from linksweep.sweep.contract.experiment import (
     quantity_of,
     refused,
     rescaled,
+    same_unit,
 )
 from linksweep.sweep.contract.rows import Array
 from linksweep.sweep.formatting import first_of, is_missing
@@ -439,11 +440,12 @@ def read_range(parameter: Parameter, spec: object) -> Range:
 class Design(NamedTuple):
     """Points in the unit cube that sample many parameters at once.
 
-    How to ``draw`` it from n and the number of parameters; and how many points each of n has ``beside`` one for each
-    parameter, None if it is a single point.
+    How to ``draw`` it from n and the number of parameters; whether it is even only for powers of two; and how many
+    points each of n has ``beside`` one for each parameter, None if it is a single point.
     """
 
     draw: Callable[[int, int, np.random.Generator], Any]
+    powers_of_two: bool = False
     beside: int | None = None
 
     def size(self, n: int, dimensions: int) -> int:
@@ -462,11 +464,11 @@ def _salib(name: str, n: int, dimensions: int, rng: np.random.Generator, **optio
 
 
 DESIGNS: Mapping[str, Design] = {
-    "sobol": Design(partial(_scipy, "Sobol")),
+    "sobol": Design(partial(_scipy, "Sobol"), powers_of_two=True),
     "latin-hypercube": Design(partial(_scipy, "LatinHypercube")),
     "halton": Design(partial(_scipy, "Halton")),
     "random": Design(lambda n, dimensions, rng: rng.random((n, dimensions))),
-    "saltelli": Design(partial(_salib, "sobol", calc_second_order=False), beside=2),
+    "saltelli": Design(partial(_salib, "sobol", calc_second_order=False), powers_of_two=True, beside=2),
     "morris": Design(partial(_salib, "morris", num_levels=MORRIS_LEVELS), beside=1),
 }
 
@@ -481,6 +483,15 @@ def unit_cube(dimensions: int) -> dict[str, Any]:
     """Return SALib's definition of a problem with this many parameters between 0 and 1."""
     names = [f"x{k}" for k in range(dimensions)]
     return {"num_vars": dimensions, "names": names, "bounds": [[0.0, 1.0]] * dimensions}
+
+
+def remarks(origin: Mapping[str, Any]) -> list[str]:
+    """Return the warnings of a run about a design."""
+    n, design = origin.get("n", 1), DESIGNS.get(origin.get("design", ""))
+    if design is None or not design.powers_of_two or n & (n - 1) == 0:
+        return []
+    below = 1 << (n.bit_length() - 1)
+    return [f"points.n = {n:,} is not a power of two, and Sobol points spread less evenly: {below:,} or {2 * below:,}?"]
 
 
 # The table [points]
@@ -536,12 +547,13 @@ def _apart(table: Mapping[str, Column], form: PointsForm, values: Values) -> tup
     known, behind which a column's own may have a unit: ``x [cm]``.
     """
     experiment, problems = values.experiment, values.problems
-    parameters = {one.name: one for one in experiment.parameters}
+    parameters, stated = {one.name: one for one in experiment.parameters}, dict(form.units)
     columns, labels = dict[str, list[Any]](), dict[str, list[Any]]()
     for written, (cells, in_table) in table.items():
         match = BRACKETS.fullmatch(written)
         is_known = match and match[1] in {*parameters, *form.labels}.difference(table, columns, labels)
         name, behind = match.groups() if match and is_known else (written, "")
+        unit, said = in_table or behind, stated.pop(written, stated.pop(name, ""))
         columns[name] = cells
         with problems.at(("points", form.source, name)):
             if name in form.labels:
@@ -549,11 +561,15 @@ def _apart(table: Mapping[str, Column], form: PointsForm, values: Values) -> tup
             elif name not in parameters:
                 hint = f"{suggest(name, list(parameters))}; as a label: labels = [{json.dumps(name)}]"
                 raise ValueError(f"unknown parameter {shown(name)}{hint}")
+            elif unit and said and not same_unit(unit, said):
+                raise ValueError(f"its column is in {unit}, and not in {said}")
             else:
-                one, unit, missing = parameters[name], in_table or behind, np.array([cell is None for cell in cells])
+                one, unit, missing = parameters[name], unit or said, np.array([cell is None for cell in cells])
                 if missing.any() and not one.optional and not one.when:
                     raise ValueError(f"has no value in row {rows_listed(missing)}")
                 columns[name] = in_unit(cells, unit, one) if unit else cells
+    for name in stated:
+        problems.add(("points", "units", name), f"is no column{suggest(name, [*columns, *labels])}")
     results = [POINT, *experiment.coordinates, *(output.name for output in experiment.outputs)]
     taken = "is a parameter or a result; labels are other columns (reset_index() makes a column of an index)"
     for name in form.labels:
@@ -703,7 +719,7 @@ def _designed(form: PointsForm, values: Values) -> tuple[Cells, dict[str, Any]]:
         return {}, {}
     if (size := DESIGNS[name].size(n, len(ranges))) > MAX_VALUES:
         raise ValueError(f"makes {size:,} points of n = {n:,}; at most {MAX_VALUES:,} are allowed")
-    with warnings.catch_warnings():  # n need be no power of two: docs/points.md
+    with warnings.catch_warnings():  # `remarks` says it in our words
         warnings.filterwarnings("ignore", message="The balance properties", category=UserWarning)
         unit = np.asarray(DESIGNS[name].draw(n, len(ranges), np.random.default_rng(form.seed)))
     columns = {one.name: one(unit[:, k]) for k, one in enumerate(ranges)}

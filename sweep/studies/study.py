@@ -529,6 +529,7 @@ class PointsForm(Section):
     seed: Seed = 0
     ranges: dict[str, Any] = Field(default_factory=dict)
     columns: dict[str, list[Any]] | None = None
+    units: dict[str, str] = Field(default_factory=dict)
     derive: str | None = None
     labels: list[str] = Field(default_factory=list)
     origin: dict[str, Any] | None = None
@@ -542,7 +543,7 @@ class PointsForm(Section):
     def _one_source(self) -> Self:
         if [self.file, self.design, self.columns].count(None) != 2:
             raise ValueError("needs exactly one of file (--points), design (--design) and columns")
-        keys = {"file": "labels", "design": "n seed ranges", "columns": "labels origin"}[self.source]
+        keys = {"file": "units labels", "design": "n seed ranges", "columns": "units labels origin"}[self.source]
         if stray := sorted(self.model_fields_set - {*keys.split(), self.source, "derive"}):
             raise ValueError(f"{', '.join(stray)}: does not go with {self.source}")
         if self.design is not None and (self.n is None or not self.ranges):
@@ -659,6 +660,11 @@ class Part:
         """Return the part whose `place` it is by its name, None for another place."""
         match = re.search(r"\.part-([1-9]\d{0,5})-of-([1-9]\d{0,5})$", str(place))
         return cls(int(match[2]), int(match[1])) if match else None
+
+    @classmethod
+    def among(cls, names: Iterable[str], store: str) -> "list[Part]":
+        """Return the parts of a store whose places are among these names, in their order."""
+        return sorted(part for name in names if (part := cls.named(name)) and name == part.place(store))
 
     @classmethod
     def places(cls, name: Any) -> list[Any]:

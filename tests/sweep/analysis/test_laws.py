@@ -209,8 +209,12 @@ def test_what_has_no_place_and_no_errors_is_printed_without(tmp_path, sweep_here
     law = fit_power_law(ds, "z", "width").sel(name="rbf")
     assert (law["points"].item(), law["exponent"].item()) == (3.0, pytest.approx(1.0))
     linksweep.run(kernel, tmp_path / "t.zarr", points={"name": ["flat", "rbf"], "width": [1.0, 2.0]}, pool="serial")
-    out = sweep_here("find", tmp_path / "t.zarr", "--where", "z > 50", "--over", "width")
-    assert "none, as points differ in name, w" in "".join(out[1:])
+    for asked, words in {
+        "z>50": "no point meets z > 50\n",
+        "z>1": "rbf",
+        "z>9 --over width": "none, as points",
+    }.items():
+        assert words in "".join(sweep_here("find", tmp_path / "t.zarr", "--where", *asked.split())[1:])
     err = start_sweep("find", tmp_path / "s.zarr", "--where", "z > 5 erg/s/cm2", "--over", "width").communicate()[1]
     assert ("not convertible" in err, "Warning" in err) == (True, False)
 

@@ -121,6 +121,8 @@ ALL_WRONG = [
     (far, {"points": {"distance": [1], "n": [1 * u.km]}}, "points.columns.n: row 1: is in km, and the parameter"),
     (far, {"points": {"design": "random", "n": 1, "ranges": {"distance": HERE}}}, "distance: is in km; give numbers"),
     (far, {"axes": {"distance": [1.0] * u.s}}, "axes.distance: is in s, and the parameter is in m"),
+    (far, {"points": {"columns": {"distance [cm]": [1.0]}, "units": {"distance": "m"}}}, "is in cm, and not in m"),
+    (far, {"points": {"columns": {"distance": [1.0]}, "units": {"distanc": "m"}}}, "units.distanc: is no column; did"),
     (far, {"points": QTable({"distance": Masked([1.0, 2.0] * u.km, mask=[0, 1])})}, "distance: has no value in row 2"),
     # which parameters a wrong table has is not known: those without a default are not asked for
     (far, {"points": sobol(n="4")}, "points.n: input should be a valid integer, not '4'"),
@@ -163,12 +165,12 @@ def test_designs_are_spread_over_their_ranges_and_larger_ones_begin_alike_where_
     assert name == "morris" or binomtest(columns["solver"].count("a"), len(beta)).pvalue > 1e-3
 
 
-@pytest.mark.parametrize(("function", "k"), [("f", 2), ("f", 3), ("idle", 2)])
-def test_conditions_that_no_point_meets_are_warned_of(sweep, tmp_path, function, k):
-    options = ["--design", "sobol:100", "--range", "beta=1:2", "--axis", "k=1,2", "--exclude", f"k={k}"]
+@pytest.mark.parametrize(("function", "n", "k"), [("f", 64, 2), ("f", 100, 3), ("idle", 64, 2)])
+def test_a_design_of_no_power_of_two_and_conditions_of_nothing_are_warned_of(sweep, tmp_path, function, n, k):
+    options = ["--design", f"sobol:{n}", "--range", "beta=1:2", "--axis", "k=1,2", "--exclude", f"k={k}"]
     code, out, err = sweep("plan", f"{__file__}:{function}", *options, cwd=tmp_path)
-    warnings = "such a value of k: 3\n", "when.k: no point has such"
-    assert (code, [words in out + err for words in warnings]) == (0, [k == 3, function == "idle"]), err
+    warnings = f"points.n = {n} is not a power of two", "such a value of k: 3\n", "when.k: no point has such"
+    assert (code, [words in out + err for words in warnings]) == (0, [n == 100, k == 3, function == "idle"]), err
 
 
 KM = HERE.values * u.km
@@ -193,7 +195,7 @@ def test_a_column_in_another_unit_has_gaps_and_the_numbers_of_the_parameter(kind
     names = "distance [cm],n\n" if kind == "name" else "distance,n\ncm,\n"
     (tmp_path / "t.csv").write_text(f"{names}1.1,1\n,2\n{LONG},3\n")
     held = {
-        "columns": {"columns": {"distance [cm]": [1.1, None, LONG], "n": [1, 2, 3]}},
+        "columns": {"columns": {"distance": [1.1, None, LONG], "n": [1, 2, 3]}, "units": {"distance": "cm"}},
         "nan": QTable({"distance": [1.1, np.nan, LONG] * u.cm, "n": [1, 2, 3]}),
         "array": {"distance": [1.1, np.nan, LONG] * u.cm, "n": [1, 2, 3]},
         "masked": Table({"distance": MaskedColumn([1.1, 2, LONG], mask=[0, 1, 0], unit="cm"), "n": [1, 2, 3]}),
