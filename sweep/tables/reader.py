@@ -124,6 +124,8 @@ def _read(path: Path, content: bytes, texts: Collection[str]) -> Any:
     if start.startswith(b"par1"):
         with _parquet(io.BytesIO(content)) as file:
             return _from_arrow(file.read())
+    if b"<html" in start or b"<!doctype html" in start:
+        raise SweepError("is a web page, not a table")
     if start.startswith(b"<"):
         return _votable(content)
     if start.startswith(b"# %ecsv"):
@@ -246,6 +248,8 @@ def _rows(body: bytes, names: Sequence[str], delimiter: str, texts: Collection[s
     import pandas as pd
 
     body = re.sub(rb"(?m)^#.*\n?", b"", body)
+    first = _fields(body[:4096].partition(b"\n")[0].decode(errors="replace"), delimiter)
+    decimal_commas = delimiter in (";", "\t") and any(re.fullmatch(r"[+-]?\d+,\d+", field) for field in first)
     _check_widths(body, len(names), delimiter)
     try:
         frame = pd.read_csv(
@@ -258,6 +262,7 @@ def _rows(body: bytes, names: Sequence[str], delimiter: str, texts: Collection[s
             na_values={k: [""] if name in texts else list(MISSING) for k, name in enumerate(names)},
             keep_default_na=False,
             float_precision="round_trip",
+            decimal="," if decimal_commas else ".",
             low_memory=False,
             dtype={k: "string" for k, name in enumerate(names) if name in texts},
             dtype_backend="numpy_nullable",  # integers beside gaps keep all digits, such as those of Gaia's source_id

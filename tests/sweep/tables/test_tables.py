@@ -102,6 +102,7 @@ REFUSED += [("ruwe < 0.1", "keeps none of 4 rows"), ("not " * 5000 + "good", "wh
 BELOW = ["x,m", "\nx,1", "# by hand\nx,m", "B,1\nA,2", "B,\n3C273,2", "3C273,1\n4C4,2", "-,1\n+,2"]
 DELIMITED = [
     ("# made by hand\n# on a Monday\nra,dec,id\n10.5,20,1\n200,-3,2\n", ["ra", "dec", "id"]),
+    ("ra;dec;id\n10,5;20;1\n200,0;-3;2\n", ["ra", "dec", "id"]),  # a spreadsheet with decimal commas
     ("ra\tdec\tid\r\n10.5\t20\t1\r\n200\t-3\t2\r\n", ["ra", "dec", "id"]),
     ("\ufeffra, dec, id\n10.5, 20, 1\n200, -3, 2\n", ["ra", "dec", "id"]),
     ("ra dec id\n10.5 20 1\n# a comment\n200 -3 2", ["ra", "dec", "id"]),
@@ -118,7 +119,7 @@ NO_TABLES = [
     ("ra dec name\n1 2 NGC 1\n", "row 1 has 4 columns, not 3"),
     (b"\x00\x01\x02\x03" * 10, "neither a table format that is known nor text"),
     (b"\x1f\x8b\x08\x00bad", "is compressed, but incomplete"),
-    ("<!DOCTYPE html><html><body>404</body></html>", "cannot be read as a VOTable"),
+    ("<!DOCTYPE html><html><body>404</body></html>", "is a web page"),
     ("<VOTABLE version='1.3'><RESOURCE/></VOTABLE>", "has no table in it"),
     (b"PAR1nonsense", "cannot be read as Parquet"),
 ]
