@@ -755,13 +755,10 @@ def labelled(value: Any, label: str = "", otherwise: str = "") -> Named:
     reach = reach_of({"value": value})
     if reach.unnoticed:
         raise ValueError(f"{shown(value)} has no canonical form, so that it cannot be told from others")
-    parts, code = reach.parts, getattr(value, "__code__", None)
-    if code is not None and code.co_name == "<lambda>":  # there may be several in a line
-        parts = parts | {"code": f"{code.co_code.hex()} {[one for one in code.co_consts if type(one) in PLAIN_TYPES]}"}
     if not label:
         is_text = isinstance(value, PurePath | datetime.date | datetime.time | np.datetime64) or is_quantity(value)
         label = label_of(value, str(value) if is_text else repr(value), otherwise)
-    return Named(str(label), json.dumps(parts, sort_keys=True), value)
+    return Named(str(label), json.dumps(reach.parts, sort_keys=True), value)
 
 
 def parsed(parameter: Parameter, raw: Any, otherwise: str = "") -> Any:
