@@ -33,11 +33,11 @@ import time
 import traceback
 import typing
 from collections import ChainMap, defaultdict, namedtuple
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, fields
 from functools import cache, cached_property, lru_cache, partial
-from importlib.machinery import EXTENSION_SUFFIXES, ModuleSpec, PathFinder
+from importlib.machinery import EXTENSION_SUFFIXES, FileFinder, ModuleSpec, PathFinder, SourceFileLoader
 from importlib.metadata import PackageNotFoundError, packages_distributions, version
 from itertools import accumulate, chain
 from operator import attrgetter
@@ -73,10 +73,13 @@ MAKING_CLASSES = ("__init_subclass__", "__set_name__")
 ITSELF = r"(cls|type\(self\)|__class__)(\.|$)"
 
 # What pickle may take apart, but is not the same from call to call.
-UNSTEADY = (io.IOBase, np.random.Generator, np.random.RandomState, random.Random)
+UNSTEADY = (io.IOBase, np.random.Generator, np.random.RandomState, random.Random, FileFinder)
 
 # With which code may name anything of its module.
 BY_NAME = (globals, eval, exec, sys.modules)
+
+# Names of modules by which they know where they are.
+PLACES = ("__file__", "__path__")
 
 # Attributes of classes that Python sets: some are caches, and what is not is in the statements of the class.
 PYTHONS = ("__", "_abc_", "_value2member_map_", "_hashable_values_", "_unhashable_values_")
@@ -194,7 +197,7 @@ def reach_of(roots: Mapping[str, Any], module: str = "") -> "Reach":
     with which it begins.  So the roots are walked twice: first only what runs when they are called, which says what
     changes, then all.
     """
-    return Reach(roots, Reach(roots).changed(), module)
+    return Reach(roots, Reach(roots), module)
 
 
 class Reach:
@@ -206,9 +209,11 @@ class Reach:
     order in which they do.
     """
 
-    def __init__(self, roots: Mapping[str, Any], changed: Collection[str] | None = None, module: str = "") -> None:
-        """Follow all but what is ``changed``; without that only what runs, to learn it."""
-        self._is_running, self._changed = changed is None, frozenset(changed or ())
+    def __init__(self, roots: Mapping[str, Any], first: "Reach | None" = None, module: str = "") -> None:
+        """Follow all but what the ``first`` walk says is changed; without that only what runs, to learn it."""
+        self._is_running, self._changed = first is None, frozenset(first.changed() if first else ())
+        # Of modules that make paths of their place, with their names: in a copy of them these paths are others.
+        self.folders: set[tuple[str, str]] = {*first.folders} if first else set()
         self._called: set[str] = set()
         self._changes: list[tuple[str, set[str]]] = []
         self.places: dict[str, str] = {}
@@ -283,6 +288,7 @@ class Reach:
         """Follow a function, class or module, and return what stands for it; None for anything else."""
         if isinstance(value, ModuleType):
             if self._is_users(value.__name__):
+                self._module(value)  # which need not be among those that Python knows
                 self._follow(self._whole, value)
             return f"module {value.__name__}"
         if isinstance(value, type):
@@ -309,6 +315,8 @@ class Reach:
         ``known`` has the objects of the value that have been met, and the form of each, or its number.
         """
         kind = type(value)
+        if kind in (str, type(Path())):
+            value = kind(self._placed(str(value)))
         if kind in PLAIN:
             return repr(value)
         if (code := self._code(value)) is not None:
@@ -329,6 +337,12 @@ class Reach:
         # What is there twice and can be changed is not the same as two that are equal.
         known[id(value)] = value, number if isinstance(value, CHANGEABLE) else text
         return text
+
+    def _placed(self, text: str) -> str:
+        """Return a path as it is seen from the nearest module that has more than the root in common with it."""
+        near = [one for one in self.folders if text[:1] == os.sep and os.path.commonpath((one[0], text)) != os.sep]
+        seen = [(os.path.relpath(text, folder), name) for folder, name in near]
+        return "{} from {}".format(*min(seen, key=lambda one: (one[0].count(".."), one))) if seen else text
 
     def _pieces(self, value: Any) -> Iterable[Any]:
         """Return what makes an object, without what code changes; raises any exception where that is not known."""
@@ -392,7 +406,10 @@ class Reach:
         self._is_users(getattr(vars(module).get("__spec__"), "name", name).rpartition(".")[0])  # its package is first
         if file.endswith(tuple(EXTENSION_SUFFIXES)):
             self._keep(f"file {Path(file).name}", digest_of(Path(file).read_bytes()))
-        for one in tree_of(file, vars(module)).body:
+        tree = tree_of(file, vars(module))
+        if _index(tree)[PLACES]:
+            self.folders |= {(os.path.dirname(one), name) for one in (os.path.abspath(file), os.path.realpath(file))}
+        for one in tree.body:
             self._imports(_at_import(one), vars(module))
             if _is_act(one, vars(module)):
                 acts.append(one)
@@ -659,11 +676,9 @@ def _names_in(nodes: tuple[ast.AST, ...], code: CodeType | None) -> frozenset[st
     a class looks up it may have bound itself.
     """
     text = "\n".join(map(unparsed, nodes))  # not the instructions, which versions of Python make differently
-    if code is None:
-        top = symtable.symtable(text, "", "exec")
-    else:
-        inner = f"def around({', '.join(code.co_freevars)}):\n pass\n{indent(text, ' ')}"
-        (top,) = symtable.symtable(inner, "", "exec").get_children()
+    text = f"def around({', '.join(code.co_freevars)}):\n pass\n{indent(text, ' ')}" if code else text
+    top = symtable.symtable(text, "", "exec")
+    top = top.get_children()[0] if code else top
     names = {one.get_name() for one in top.get_symbols() if one.is_referenced()}
     if code is not None:  # also in defaults and annotations: what code changes of a default is left out of its value
         is_inner = "<" in code.co_qualname.rpartition(".")[0]  # whose defaults may have names of what is around it
@@ -695,6 +710,8 @@ def _index(tree: ast.Module) -> Mapping[Any, list[Any]]:
             index[f"class {node.name}"].append(node)
         elif isinstance(node, ast.ImportFrom):
             index[ast.ImportFrom].append(node)
+        elif getattr(node, "id", getattr(node, "attr", "")) in PLACES:
+            index[PLACES].append(node)
     for one in (one for one in tree.body if not isinstance(one, DEFINITIONS)):
         nodes = [node for node in ast.walk(one) if isinstance(node, ast.Name | ast.alias)]
         for name in {node.id if isinstance(node, ast.Name) else node.asname or node.name for node in nodes}:
@@ -814,13 +831,20 @@ class LocalFiles(importlib.abc.MetaPathFinder, importlib.abc.Loader):
         return importlib.import_module(f"{self.package}.{Path(self.path).stem}")
 
     def find_spec(self, fullname: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
-        """Return how Python loads a module of the package."""
+        """Return how Python loads a module of the package; warn where one of its files is also imported by name."""
+        local = self.files.get(f"{self.package}.{fullname}")
+        if local and local == getattr(PathFinder.find_spec(fullname, path), "origin", ""):
+            _warn(f"{local} is imported by name, too, and so there are two of what it defines: use MODULE:NAME")
         if (file := self.files.get(fullname)) is None:  # a folder with modules, or of others
             is_package = any(known.startswith(f"{fullname}.") for known in self.files)
             return ModuleSpec(fullname, None, is_package=True) if is_package else None
         loader = self if file.endswith(".py") else None  # Python's own
         inside: list[str] | None = [] if file.endswith("__init__.py") else None
         return importlib.util.spec_from_file_location(fullname, file, loader=loader, submodule_search_locations=inside)
+
+    def get_resource_reader(self, fullname: str) -> Any:
+        """Return how importlib.resources reads the files beside a module."""
+        return SourceFileLoader(fullname, self.files[fullname]).get_resource_reader(fullname)
 
     def exec_module(self, module: ModuleType) -> None:
         """Execute a module of the package."""

@@ -68,6 +68,7 @@ ENDS = {  # how the constant, CONSTANT, comes into NAME(x)
     "private": "_C_NAME__K = CONSTANT\n\nclass C_NAME:\n    def run(self, x):\n        return x + __K\n\ndef NAME(x):\n    return C_NAME().run(x)",
     "closure that changes": "def NAME_make(k):\n    s = {'k': k}\n    def inner(x):\n        s['calls'] = 1\n        return x + s['k']\n    return inner\n\nNAME_one = NAME_make(CONSTANT)\n\ndef NAME(x):\n    return NAME_one(x)",
     "hook of a class": "class B_NAME:\n    S = {}\n    def __init_subclass__(cls, k=0.0):\n        B_NAME.S['k'] = k\n\nclass C_NAME(B_NAME, k=CONSTANT):\n    pass\n\ndef NAME(x):\n    B_NAME.S.setdefault('calls', 0)\n    return x + B_NAME.S['k']",
+    "place": "import pathlib\n\nNAME_here = pathlib.Path(__file__).resolve().parents[1]\nNAME_all = {'k': CONSTANT, 'at': str(NAME_here)}\n\ndef NAME(x, at=NAME_here / 'a'):\n    return x + NAME_all['k'] + len(at.relative_to(NAME_all['at']).parts)",
     "beside a lock": "import threading\n\nL_NAME = threading.Lock()\n\ndef NAME(x):\n    with L_NAME:\n        return x + CONSTANT",
 }
 UNUSED = """  # definitions that nothing reaches
@@ -135,7 +136,8 @@ class Layout:
             files = [((folder / "project" / file).resolve(), name) for file, name in self._reexported]
             here = [(file.stem, name) for file, name in files if file.parent == (folder / package).resolve()]
             exported = "".join(f"from .{module} import {name}\n" for module, name in here)
-            (folder / package / "__init__.py").write_text(exported)
+            reads = "import importlib.resources\n\nHERE = importlib.resources.files(__name__).joinpath('__init__.py').read_text()\n"
+            (folder / package / "__init__.py").write_text(reads + exported)
 
     def _import(self, chance: random.Random, path: str, inner_path: str, inner: str, at_top: bool) -> tuple[str, str]:
         """Return an import statement in one module for a function of another, and how it is called there."""

@@ -58,8 +58,7 @@ def f(x: float): return g(x) * K * c.k * C.k + len(ALL) + ALL["a"]([0.0]) * 0 + 
 NAMED = {"h.K = 4.0": "value h.K", "h.c.k = 4.0": "value h.c", "h.C.k = 4.0": "value h.C.k ("}
 NAMED |= {"h.g.__kwdefaults__['s'] = 2.0": "h.g", "h.ALL['a'] = sum": "value h.ALL"}
 NAMED |= {"h.C.__bases__ = h.B, h.B2": "class h.C", "h.P = h.make_dataclass('P', 'ba')": "P.__match_args__"}
-DECLARED = """
-import threading, linksweep
+DECLARED = """import threading, linksweep
 from pathlib import Path
 L = threading.Lock()
 T = [eval("lambda x: x", {"__name__": None})]
@@ -68,8 +67,7 @@ def f(x: float):
     with L:
         return T[0](x) * float((Path(__file__).parent / "k.csv").read_text())
 """
-CHANGES_ITS_FILE = """
-from pathlib import Path
+CHANGES_ITS_FILE = """from pathlib import Path
 import linksweep
 FILE, ONCE = (Path(__file__).parent / name for name in ("k.csv", "once"))
 @linksweep.experiment(reads=["k.csv"])
@@ -223,21 +221,21 @@ def test_helpers_of_the_same_name_in_two_folders_do_not_mix(tmp_path, pool):
         assert dataset["mean"].values.tolist() == means
 
 
-def run(folder, axis):
+def run(folder, axis, store="s.zarr"):
     for name in [name for name in sys.modules if name.partition(".")[0] == "pkg" or name.startswith(PREFIX)]:
         del sys.modules[name]  # as in a new process; a session keeps a file that has not changed with what it imported
     importlib.invalidate_caches()
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(folder / "lib")
         patch.setattr(sys, "dont_write_bytecode", True)  # Python takes it by the second and the size of a file
-        linksweep.run(f"{folder}/project/main.py:f", axes={"x": axis}, store=folder / "s.zarr", pool="serial")
+        linksweep.run(f"{folder}/project/main.py:f", axes={"x": axis}, store=folder / store, pool="serial")
 
 
 def check(layout, folder):
     layout.write(folder)
     run(folder, [1.0, 2.0])
-    layout.write(folder, cosmetic=True)
-    run(folder, [1.0, 2.0, 3.0])
+    layout.write(folder / "copy", cosmetic=True)  # a checkout elsewhere
+    run(folder / "copy", [1.0, 2.0, 3.0], "../s.zarr")
     layout.write(folder, constant="4.0")
     with pytest.raises(linksweep.SweepError, match=r"(?s)was made by other code.*( in the store, |has changed)"):
         run(folder, [1.0, 2.0, 3.0, 4.0])
