@@ -443,8 +443,8 @@ def _add_block(
         sums.expected[one] += some.expected.sum()
 
 
-def _blocks(n: int, size: int) -> Iterator[slice]:
-    for start in range(0, n, size):
+def _blocks(n: int, size: int, first: int = 0) -> Iterator[slice]:
+    for start in range(first, n, size):
         yield slice(start, min(start + size, n))
 
 
@@ -452,8 +452,7 @@ def _pieces(group: NDArray[np.integer[Any]]) -> Iterator[slice]:
     """Yield runs of equal numbers, each at most a block long."""
     limits = [0, *(np.flatnonzero(np.diff(group)) + 1).tolist(), len(group)]
     for first, last in pairwise(limits):
-        for start in range(first, last, BLOCK):
-            yield slice(start, min(start + BLOCK, last))
+        yield from _blocks(last, BLOCK, first)
 
 
 def add_products(total: Array, matrix: Array, weight: Array) -> None:
@@ -793,10 +792,15 @@ Sources = KeptSources | StreamedSources
 
 
 def sources_of(problem: Problem) -> Sources:
-    """Return the sources of a problem, with the sums of each if these fit into memory."""
-    n = len(problem.satellite)
-    if n * len(problem.unknowns) ** 2 <= KEPT_NUMBERS:
+    """Return the sources of a problem, with the sums of each if these fit into memory.
+
+    Raises LinkError for so many unknowns that they cannot be determined, and take too much memory to find out.
+    """
+    n, k = len(problem.satellite), len(problem.unknowns)
+    if n * k**2 <= KEPT_NUMBERS:
         return KeptSources(problem, source_sums(problem), partial(separation, problem))
+    if k > (number := np.count_nonzero(problem.rows.present)):
+        raise LinkError(f"the tables do not tell {k} unknowns apart by {number} numbers")
     return StreamedSources(problem.unknowns.labels, (lambda: problem,), (0,), n, starmap)
 
 
@@ -883,8 +887,7 @@ def separation(problem: Problem) -> Array:
     whose difference depends on a parameter that the satellite lacks counts as 0.
     """
     largest = np.zeros((2, len(problem.satellite)))
-    for start in range(0, len(problem.rows), BLOCK):
-        rows = slice(start, start + BLOCK)
+    for rows in _blocks(len(problem.rows), BLOCK):
         source = problem.source[rows]
         star = problem.satellite.taken(source)
         values = differences(star, problem.rows.taken(rows), np.arange(len(source)), problem.taken_out(star))

@@ -66,7 +66,7 @@ REFUSED = [
     *(("and mas/yr, each once", {}, {}, {"jitter": text}) for text in ("all=0.2 mas", "all=1,all=0", "estimate,all=1")),
     *(("no kind of row five", {}, {}, {"jitter": {"five": (1.0, 1.0)}}), ("KIND=MAS", {}, {}, {"jitter": "estimated"})),
     *(("not neg", {}, {}, {"jitter": {"motion": -0.1}}), ("mean 'phot_g", {}, {}, {"where": "phot_g_mean_mg < 1"})),
-    ("weights by covariance", {}, {}, {"jitter": "estimate", "weights": "equal"}),
+    *(("weights by cov", {}, {}, {"jitter": "estimate", "weights": "equal"}), ("apart by", {}, {}, {"degree": 50})),
     ("5 rows of .* and there are 4", {}, {"source_id": FEW}, {"jitter": "estimate"}),
 ]  # fmt: skip
 
