@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import partial
-from itertools import islice, product
+from itertools import combinations, islice, product
 from typing import Any
 
 import numpy as np
@@ -47,8 +47,8 @@ OPEN: dict[str, Any] = style.marks(0, 4.5, color="0.15", fillstyle="none", marke
 # Dashes of predictions have one of the first two widths, or together the third, in points of print.
 NARROWEST_DASH, WIDEST_DASH, ALL_DASHES = 3.0, 10.0, 150.0
 EDGE_PT = WIDEST_DASH / 2.0 + 2.0  # what a mark at the end of an axis needs, so that it is not cut off
-# Points closer than the first share of the axis cover each other; if more than the second share do, they are moved
-# aside, so many points of print from their places at most.
+# Points closer than the first share of the axis cover each other; if more than the second share do, or two series
+# everywhere, they are moved aside, so many points of print from their places at most.
 COVERED, COVERED_SHARE, ASIDE_PT = 0.015, 0.25, 4.5
 
 BAND = "band"  # the attribute of a difference: how far it may be from zero by chance
@@ -473,13 +473,14 @@ def positions(axes: Axes, dataset: xr.Dataset, axis: str, which: str) -> Array:
 
 def _offsets(array: xr.DataArray, values: Array) -> list[float]:
     """Return by how many points of print the markers of each series, of ``values`` (series, points), are moved aside: 0
-    unless those of two series cover each other in many places.
+    unless series cover each other in many places, or two of them everywhere.
     """
     values = np.log(values) if style.is_logarithmic(array) else values.astype(float)
-    gaps, outermost = np.diff(np.sort(values, axis=0), axis=0), 0.0
-    gaps = gaps[np.isfinite(gaps)]
-    if gaps.size and (gaps <= COVERED * (np.nanmax(values) - np.nanmin(values))).mean() > COVERED_SHARE:
-        outermost = min(ASIDE_PT * (len(values) - 1) / 2.0, ASIDE_PT)
+    gaps = np.diff(np.sort(values, axis=0), axis=0)
+    near = COVERED * (np.fmax.reduce(values, axis=None) - np.fmin.reduce(values, axis=None))
+    is_aside = any((abs(one - other) <= near).all() for one, other in combinations(values, 2))
+    is_aside |= bool((gaps <= near).sum() > COVERED_SHARE * np.isfinite(gaps).sum())
+    outermost = is_aside * min(ASIDE_PT * (len(values) - 1) / 2.0, ASIDE_PT)
     return list(map(float, np.linspace(-outermost, outermost, len(values))))
 
 

@@ -402,9 +402,8 @@ def find_root(location: Location) -> dict[str, Any] | None:
                 # The checksum of another format.
                 attributes = json.loads(content or b"")["attributes"]
                 if FORMAT_OF not in attributes:
-                    kind = {"tie": "link"}.get(attributes["result"], attributes["result"])
-                    said = f"is a stored {kind}, without points and a ledger: see `sweep show`"
-                    raise SweepError(said, where) from error
+                    said = f"is a stored {attributes['result']}, without points and a ledger: see `sweep show`"
+                    raise SweepError(said.replace("stored tie", "stored link"), where) from error
                 _check_format(attributes, where)
             ways = "bring one of these back from a backup, or give another store"
             whole = f"is not a store of linksweep, or its {ROOT} and the copy in {ledgers.FOLDER} are damaged: {ways}"
