@@ -890,24 +890,14 @@ class Live:
     @cached_property
     def pickled(self) -> bytes:
         """The function with what it reaches in this session; raises SweepError where it cannot be pickled."""
-        import cloudpickle
-
-        registered = cloudpickle.list_registry_pickle_by_value()
-        mine = [one for name, one in self.reach.modules.items() if name not in {*registered, "__main__"}]
         file = io.BytesIO()
         try:
-            # By value, since workers may not have these modules, or not as they are in this session.
-            for module in mine:
-                cloudpickle.register_pickle_by_value(module)
             _pickler(file).dump(self.value)
         except Exception as error:  # whatever keeps an object from being pickled
             raise SweepError(
                 f"the function {self.name} cannot be sent to workers "
                 f"({type(error).__name__}: {error}); use pool='threads' or pool='serial', or give it as 'FILE.py:NAME'"
             ) from error
-        finally:
-            for module in mine:
-                cloudpickle.unregister_pickle_by_value(module)
         return file.getvalue()
 
     def __getstate__(self) -> dict[str, Any]:
@@ -1048,12 +1038,24 @@ def source_digest(reference: str) -> str | None:
     return getattr(sources_of(reference), "digest", None)
 
 
+# The modules of what is sent to workers, and of the values sent later, which are to have the same classes: workers may
+# not have these modules, or not as they are in this session.
+_by_value: dict[str, ModuleType] = {}
+
+
 def sendable(reference: str, digest: str | None = None) -> "LocalFiles | Live | None":
     """Return what to send to a process that is to load a loaded reference; None where it can only import it itself.
 
     Raises SweepError for a function of this session that cannot be pickled.
     """
+    import cloudpickle
+
     sources = sources_of(reference, digest)
+    wanted = sources.reach.modules if isinstance(sources, Live) else {}
+    for name in _by_value.keys() - wanted.keys():
+        cloudpickle.unregister_pickle_by_value(_by_value.pop(name))
+    for name in wanted.keys() - {*cloudpickle.list_registry_pickle_by_value(), "__main__"}:
+        cloudpickle.register_pickle_by_value(_by_value.setdefault(name, wanted[name]))
     if isinstance(sources, Live):
         sources.pickled  # noqa: B018 (what can fail is done here, once)
     return sources

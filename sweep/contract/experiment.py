@@ -20,6 +20,7 @@ from fractions import Fraction
 from functools import cached_property, lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, Literal, Protocol, TypeVar, get_args
+from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -294,15 +295,18 @@ class Named:
         """Return how it is made again elsewhere; raises SweepError where its value cannot be sent there."""
         import cloudpickle  # which takes lambdas and what only this session defines
 
-        try:
+        said = f"the value {shown(self.name)} cannot be sent to other processes: "
+        with refused(Exception, said=said, more="; use pool='threads' or 'serial'"):  # of whatever cannot be pickled
             return _sent, (self.name, self.identity, cloudpickle.dumps(self.value))
-        except Exception as error:  # whatever keeps an object from being pickled
-            why = f"cannot be sent to other processes ({type(error).__name__}: {error}); use pool='threads' or 'serial'"
-            raise SweepError(f"the value {shown(self.name)} {why}") from error
+
+
+# The objects of this session by identity: in a forked process pickle would make their classes anew, which are not those
+# that its functions know.
+OBJECTS = WeakValueDictionary[str, Named]()
 
 
 def _sent(name: str, identity: str, pickled: bytes) -> Named:
-    return Named(name, identity, pickle.loads(pickled))
+    return OBJECTS.get(identity) or Named(name, identity, pickle.loads(pickled))
 
 
 class Define(Protocol):

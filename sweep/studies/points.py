@@ -27,6 +27,7 @@ import numpy as np
 
 from linksweep.sweep.code import Code, reach_of
 from linksweep.sweep.contract import (
+    OBJECTS,
     Experiment,
     Named,
     Parameter,
@@ -758,7 +759,9 @@ def labelled(value: Any, label: str = "", otherwise: str = "") -> Named:
     if not label:
         is_text = isinstance(value, PurePath | datetime.date | datetime.time | np.datetime64) or is_quantity(value)
         label = label_of(value, str(value) if is_text else repr(value), otherwise)
-    return Named(str(label), json.dumps(reach.parts, sort_keys=True), value)
+    named = Named(str(label), json.dumps(reach.parts, sort_keys=True), value)
+    OBJECTS[named.identity] = named
+    return named
 
 
 def parsed(parameter: Parameter, raw: Any, otherwise: str = "") -> Any:

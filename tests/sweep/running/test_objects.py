@@ -227,11 +227,14 @@ def test_a_condition_that_means_nothing_is_refused(tmp_path, when):
     assert not (tmp_path / "s").exists()
 
 
+@pytest.mark.parametrize("kind", [Colour, enum.Enum("Kind", "RED BLUE")])
 @pytest.mark.parametrize("pool", [None, "serial", "threads", "processes"])
-def test_lambdas_have_labels_and_reach_every_kind_of_worker(tmp_path, pool):
+def test_lambdas_have_labels_and_reach_every_kind_of_worker_and_objects_their_classes(tmp_path, pool, kind):
     axes = {"law": {"square": lambda x: x * x, "cube": lambda x: x**3}}
     ds = linksweep.run(lambda law: law(2.0), tmp_path / "s.zarr", axes=axes, pool=pool)
     assert ds.result.sel(law=["square", "cube"]).values.tolist() == [4.0, 8.0]
+    ds = linksweep.run(lambda k: k is kind.BLUE, tmp_path / "k.zarr", axes={"k": list(kind)}, pool=pool, verify=1)
+    assert ds.result.values.tolist() == [False, True]
 
 
 DEFAULTS = {"a": "x", "b": 0, "c": None, "d": 2}
