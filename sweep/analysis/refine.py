@@ -81,6 +81,13 @@ class Refinement:
     spent: int
     full: int
 
+    def crossings(self) -> xr.Dataset:
+        """Return where the condition of ``find`` changes, along lines of the points that are done and not NaN."""
+        status, variable = self.dataset["status"], laws.parse_limit(self.goal["find"]).variable
+        is_used = (status == Status.DONE) & np.isfinite(quantity.numbers(self.dataset, variable))
+        used = status.where(is_used | ~is_used.any(), int(Status.EXCLUDED))
+        return laws.find(self.dataset.assign(status=used), self.goal["find"], self.along)
+
     def sentences(self) -> list[str]:
         """Return in words what was reached, and what it took."""
         wanted = laws.parse_limit(self.goal["until"]).number if self.goal["until"] else self.goal["within"]
@@ -207,8 +214,7 @@ def looked_at(asked: Study, now: Study, rounds: Sequence[Round], goal: Goal, dat
         factors += [(line, i, factor) for *_, some in lacks for i, factor in some.items()]
     status, numbers = dataset["status"], asked.numbers()
     spent = int(dataset["n_sim_done"].sum() if numbers else (status == Status.DONE).sum())
-    there = sorted(now.axes[over])
-    finest = finest if is_find else float(np.diff(there).min())
+    finest = finest if is_find else float(np.diff(sorted(now.axes[over])).min())
     per_line = math.floor((axis[-1] - axis[0]) / max(finest, nearest) * ROUNDING) + 1
     per_line, each = max(per_line, len(axis)), math.prod(numbers.values())
     full = per_line * (status.size // dataset[over].size) * each

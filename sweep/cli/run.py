@@ -281,7 +281,7 @@ def refine(
     sweep refine quasars --find "sigma_spin < 0.6" --within 0.01
     sweep refine quasars --along v_max --until "error < 0.002"
     """
-    from linksweep.sweep.analysis import laws, refine as rounds
+    from linksweep.sweep.analysis import refine as rounds
     from linksweep.sweep.result import Result
 
     (study, store), mute = asked.load(), replace(how, as_json=None)
@@ -292,8 +292,8 @@ def refine(
     for state in rounds.refinements(study, store, goal, run):
         if state.upcoming is not None and not how.watching.quiet:
             click.echo(f"round {len(state.rounds) + 1}: {state.upcoming}", err=True)
-    is_whole = not (failures := json.loads(state.dataset.attrs["failures"]))
-    crossings = Result(laws.find(state.dataset, goal["find"], state.along)) if goal["find"] and is_whole else None
+    failures = json.loads(state.dataset.attrs["failures"])
+    crossings = Result(state.crossings()) if goal["find"] and state.spent else None
     if how.as_json:
         answer = {"failures": failures, "answer": crossings and json.loads(crossings.written("json"))}
         cli.put(to_json({name: value for name, value in vars(state).items() if name != "dataset"} | answer))
@@ -301,7 +301,7 @@ def refine(
         cli.print_tables(crossings.tables() if crossings else ())
         for sentence in [*(crossings.notes() if crossings else ()), *state.sentences()]:
             cli.print_wrapped(sentence)
-    sys.exit(0 if is_whole else cli.EXIT_FAILED_POINTS)
+    sys.exit(cli.EXIT_FAILED_POINTS if failures else 0)
 
 
 @cli.command("Run", "Say what a run would do, and write nothing")

@@ -40,8 +40,6 @@ log = logging.getLogger("linksweep")
 # Attributes of a store that are kept in a store made of it.
 KEPT = ("study_name", "study_digest", "study_overrides", "started", "finished", "host", "versions", "git_commit")
 
-_COMPARED = ("study_meaning", "study_axes", CODE)
-
 ROWS_AT_ONCE = 10_000
 # The part of a block's key that is the digest of its point.
 DIGEST = slice(0, DIGEST_BYTES)
@@ -156,7 +154,8 @@ def _sources(places: Sequence[Where], trust: bool) -> list[_Source]:
 
 def _source(opened: OpenStore, study: Study, layout: Layout | None) -> _Source:
     attributes, ledger = opened.attributes, opened.ledger()
-    kept = {key: attributes[key] for key in (*KEPT, *_COMPARED, REFINED, STORE, LEDGER_THEN) if key in attributes}
+    used = (*KEPT, "study_meaning", "study_axes", CODE, REFINED, STORE, LEDGER_THEN)
+    kept = {key: attributes[key] for key in used if key in attributes}
     study = replace(study, part=Part.recorded(attributes))
     return _Source(opened.location, kept, study, layout, ledger.dtype, tuple(ledger.rows), ledger.failures)
 

@@ -244,6 +244,11 @@ def test_the_command_says_what_is_known_and_what_it_took(sweep, tmp_path):
     assert (status, "round 1: 1 new point" in err, "step > 0.5" in out) == (0, True, True), err
     report = json.loads(sweep(*command, "--json", cwd=tmp_path)[1])
     assert [*map(report.get, ("spent", "full", "upcoming", "known"))] == [7, 11, None, {"": pytest.approx(0.06, 0.3)}]
+    holes = "import math\nfrom linksweep import Output, experiment as e\n@e(outputs=[Output('y', nan=True)])\n"
+    holes += "def holes(x: float):\n    return math.nan if x == 0 else 1 / 0 if x == 1 else float(x > 0.618)\n"
+    (tmp_path / "h.py").write_text(holes)  # a point that is NaN and one that fails are left out of the answer
+    out = sweep(command[0], "h.py:holes", *command[2:5], "y > 0.5", *command[6:-1], "h.zarr", cwd=tmp_path, code=1)[1]
+    assert "from 0.589; points go only from 0.25 to 0.75" in out
     sweep("run", "f.py:step", "--set", "x=5", "-o", "t.zarr", cwd=tmp_path)
     for merged in ("s.zarr t.zarr -o m.zarr", "m.zarr s.zarr -o both.zarr"):
         sweep("merge", *merged.split(), cwd=tmp_path, code=0)

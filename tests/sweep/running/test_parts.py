@@ -121,8 +121,11 @@ def test_no_part_gets_the_same_value_of_an_axis_again_and_again(tmp_path, total)
 def test_a_lost_part_is_named_and_the_same_commands_go_on(model, tmp_path, sweep):
     _, stores = (run_parts(model, tmp_path / store, [1, 3], 3, **SMALL) for store in "ts")
     assert "lost: 2" in sweep("status", tmp_path / "s", code=0)[1]
-    code, out, _ = sweep("merge", *stores, tmp_path / "s.part-2-of-3", "-o", tmp_path / "s")
+    (lock := tmp_path / "s.part-2-of-3.lock").touch()
+    (tmp_path / "s.part-3-of-3.damaged").mkdir()
+    code, out, _ = sweep("merge", *tmp_path.glob("s.part-*"), tmp_path / "s.part-2-of-3", "-o", tmp_path / "s")
     assert (code, "INCOMPLETE" in out, "lost parts: 2 of 3" in out) == (1, True, True)
+    lock.unlink()
     assert status_report(tmp_path / "s")["lost_parts"] == "2 of 3"
     stores += run_parts(model, tmp_path / "s", [2], 3, **SMALL)
     assert "lost" not in sweep("merge", stores[-1], "-o", tmp_path / "s", code=1)[1]  # a point of part 3 has failed
