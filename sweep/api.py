@@ -177,7 +177,7 @@ def refine(
         until: instead of ``find``, a limit of the error of values between points, "error < 0.002": points are added
             where a value differs by more from what its neighbours on the axis give.
         within: how well to locate it, in the unit of the axis; for ``until`` the shortest interval, by default a
-            thousandth of the axis.
+            thousandth of the axis, as if all its steps were as short as the shortest.
         along: the axis that gets points; by default the only one with several numbers.
         variable: for ``until``, the output; by default the main one.
         max_realisations: how many there may be in all, besides those that the study itself has; by default points get

@@ -29,7 +29,7 @@ from linksweep.sweep.studies.study import Study
 
 SHARE = 0.2  # of the realisations of the full grid: where so many are spent points get no more, unless the user says so
 LARGEST_FACTOR = 16  # a point gets at most so many times its realisations in a round: its error is an estimate, too
-FINEST = 1e-3  # the share of an axis below which `until` cuts no interval, unless the user says otherwise
+FINEST = 1e-3  # the share of an axis of equal steps, or of its shortest ones, below which `until` cuts no interval
 ROUNDING = 1.0 + 1e-9
 OFF_CENTRE = 0.2  # a midpoint may be off by this share of the way to it, so that it has few digits
 
@@ -191,7 +191,7 @@ def looked_at(asked: Study, now: Study, rounds: Sequence[Round], goal: Goal, dat
     variable = limit.variable if is_find else goal["variable"] or quantity.main_quantity(dataset)
     quantity.require_quantity(dataset, variable)
     axis = sorted(asked.axes[over])
-    finest = goal["within"] or FINEST * (axis[-1] - axis[0])
+    finest = goal["within"] or FINEST * (len(axis) - 1) * float(np.diff(axis).min())
     nearest = 1.0 if dataset[over].dtype.kind == "i" else NEAR * max(map(abs, axis))  # that values of the axis can be
     least = max(finest * ROUNDING, nearest)
     uncut = {pair for pair in pairwise(axis) if pair[1] - pair[0] > least}
