@@ -119,7 +119,7 @@ def test_a_function_that_catches_it_ends_the_run_when_it_returns(tmp_path):
 
 class Swallower:
     def __del__(self):
-        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGTERM)
 
 
 @pytest.mark.parametrize("is_swallowed", [slow(True), slow(False)])
@@ -128,13 +128,14 @@ def test_what_a_finaliser_swallows_comes_again_and_cleaning_up_is_not_interrupte
 
     def body(interruptions):
         try:
-            Swallower() if is_swallowed else signal.raise_signal(signal.SIGINT)
-            threading.Event().wait(ENDLESS_S)
+            Swallower() if is_swallowed else signal.raise_signal(signal.SIGTERM)
+            with watched():
+                threading.Event().wait(ENDLESS_S)
         finally:
             time.sleep(2 * LOST_S)
             steps.append("clean")
 
-    assert (ended_as(body), steps) == (signal.SIGINT, ["clean"])
+    assert (ended_as(body), steps) == (signal.SIGTERM, ["clean"])
 
 
 def test_an_ignored_signal_stays_ignored():  # under nohup a run goes on when the terminal is closed
