@@ -133,7 +133,7 @@ def _sources(places: Sequence[Where], trust: bool) -> list[_Source]:
     for location in (located(one) for place in places for one in Part.places(_with_total(place))):
         opened = store_at(location)
         if (runs := holder(location)) is not None:
-            if opened is None or PART not in opened.attributes:
+            if not Part.named(location):  # one that has just begun has no store
                 raise SweepError(f"is being written by {runs}; merge it when that has ended", str(location))
             log.warning("%s is being written by %s; it is left out", location, runs)
             why = "nothing can be merged yet"
