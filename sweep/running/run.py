@@ -824,7 +824,7 @@ def with_part(study: Study, store: Where, part: str | None) -> tuple[Study, Loca
         return study, located(store)
     with refused(ValueError, said="part = "):
         one = Part.of_task(os.environ) if part == "array" else Part.parsed(part)
-    return replace(study, part=one), located(one.place(store))
+    return replace(study, part=one), located(one.place(located(store)))
 
 
 def plan_study(study: Study, store: Where, accept_code: bool = False) -> tuple[Plan, Survey]:

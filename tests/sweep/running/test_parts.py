@@ -166,7 +166,7 @@ def test_a_task_of_an_array_is_a_part(model, tmp_path, sweep, monkeypatch, first
     numbers = {"ID": task, "MIN": first, "MAX": last, "COUNT": count}
     for name, number in numbers.items():
         monkeypatch.setenv(f"SLURM_ARRAY_TASK_{name}", "" if number is None else str(number))
-    code, _, err = sweep("run", model, "--axis", "k=1,2", "-o", tmp_path / "s", "--part", "array")
+    code, _, err = sweep("run", model, "--axis", "k=1,2", "-o", f"{tmp_path}/s/", "--part", "array")
     assert code == (0 if part else 2), err
     assert sorted(path.name for path in tmp_path.glob("s*")) == ([f"s.part-{part}"] if part else [])
     assert part or "name the part, as in --part $SLURM_ARRAY_TASK_ID/100" in err
