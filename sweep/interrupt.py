@@ -153,5 +153,5 @@ def watched() -> Iterator[Interruptions]:
         is_late = interruptions.received is not None and isinstance(stop, Exception)
         if isinstance(stop, RunInterruptedError) or not (is_late or isinstance(first, KeyboardInterrupt)):
             raise
-        around = getattr(signal.getsignal(signal.SIGTERM), "__self__", None)  # of a watch that began earlier
-        raise RunInterruptedError(interruptions.received or getattr(around, "received", None) or signal.SIGINT) from stop
+        outer = getattr(signal.getsignal(signal.SIGTERM), "__self__", None)  # a watch that began earlier
+        raise RunInterruptedError(interruptions.received or getattr(outer, "received", None) or signal.SIGINT) from stop

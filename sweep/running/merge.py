@@ -108,8 +108,7 @@ def require_free(place: Location, study: Study, about: Sequence[Mapping[str, Any
     """
     if Part.named(place):
         raise SweepError("is the place of a part; give another one with -o", str(place))
-    opened = run.find_store(place, study)
-    if opened is None:
+    if (opened := run.find_store(place, study)) is None:
         return
     before = json.loads(opened.attributes.get(MERGED, "[]")) or [{}]
     alike = before == about or before[0].get("parts") == about[0].get("parts", "")

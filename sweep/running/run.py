@@ -54,9 +54,6 @@ from linksweep.sweep.tables.reader import from_frame
 # What a condition calls points that were made by other code than today's.
 OLD = "old"
 
-# With which the reason begins why a point is not done that a run was to compute again.
-AGAIN = "is to be computed again where "
-
 
 # Which code made the numbers of a store: its attribute `CODE` is a list of records, each with the ``first_row`` of the
 # ledger that its ``code`` made, in the order of these.
@@ -231,7 +228,7 @@ def again_where(store: Store, study: Study, condition: str) -> dict[bytes, Recor
     Where a run with the same condition was killed, they are those that it has left.  What other code made of points
     that are not in the study any more is to be forgotten: None.  Raises SweepError for a condition that is none.
     """
-    message = AGAIN + condition
+    message = f"is to be computed again where {condition}"
     left = {digest for digest, record in store.failures.items() if record["message"] == message}
     there = {key[:DIGEST_BYTES] for key in store.rows} | store.failures.keys()
     made = made_by_other_code(store, study)
@@ -245,9 +242,6 @@ def again_where(store: Store, study: Study, condition: str) -> dict[bytes, Recor
             again[point.digest] = record
     return again
 
-
-# Most failed points that a dataset names in its attributes; its status counts all.
-MAX_FAILURES_NAMED = 1000
 
 # What the record of a failure says of the block that failed, if one did: its group and its part.
 BLOCK = "block"
@@ -531,7 +525,7 @@ class Writer:
             "points": points,
             "points_done": done,
             "complete": int(points == done or self._has_its_part()),
-            "failures": json.dumps(self.failures(MAX_FAILURES_NAMED)),
+            "failures": json.dumps(self.failures(1000)),  # the status has all
             "warnings": json.dumps([*self.plan.grid.warnings, *warnings]),
         }
 
@@ -718,7 +712,8 @@ class Session:
             is_same = sections.items() <= json.loads(store.attributes["study_document"]).items()
             is_stored = is_same and now.items() <= store.attributes.items()
             failed = wanted is not None and not store.failures.keys().isdisjoint(wanted)
-            session.is_left_alone = is_stored and not failed and not accumulator.survey.pending.blocks
+            is_done = is_stored and not failed and not accumulator.survey.pending.blocks
+            session.is_left_alone = is_done and store.is_whole()
             missing = accumulator.missing_points()
             require_known(whole, (p for p in plan.grid.points(missing) if not wanted or p.digest in wanted))
         return session

@@ -231,16 +231,16 @@ class Store(OpenStore):
         self._files = in_use - gone
 
     def has(self, dataset: Any) -> bool:
-        """Return whether this dataset is what was written last of these rows, and every file of it is whole: then there
-        is nothing to write.
-        """
+        """Return whether this dataset is what was written last of these rows, and every file of it is whole."""
         then = self._ledger.manifest.model_dump_json()
         wanted = {**dataset.attrs, ORIGIN: origin(self.location), LEDGER_THEN: then}
         same = all(self.attributes.get(name) == value for name, value in wanted.items())
-        if not same or arrays_of(self.root).keys() != dataset.variables.keys():
-            return False
+        return same and arrays_of(self.root).keys() == dataset.variables.keys() and self.is_whole()
+
+    def is_whole(self) -> bool:
+        """Return whether every file of the dataset is as it was written last."""
         report = Report({}, {}, {})
-        with self._writing():
+        with reading(self.location):
             return not _check_results(self.location, self.root, report) and not report
 
     def lost(self) -> list[str]:

@@ -668,16 +668,15 @@ class Part:
 
     @classmethod
     def places(cls, name: Any) -> list[Any]:
-        """Return the places of all parts that ``STORE.part-*-of-N`` names; another name itself, unless it is of what
-        lies beside a part, such as its lock: the ``STORE.part-*`` of a shell names these, too.
+        """Return the places of all parts that ``STORE.part-*-of-N`` names; another name itself, but no lock or so.
 
         >>> Part.places("s.zarr.part-*-of-2")
         ['s.zarr.part-1-of-2', 's.zarr.part-2-of-2']
         """
-        if re.search(r"\.part-\d+-of-\d+\.(lock|damaged|rescued)", str(name)):
-            return []
-        match = re.fullmatch(r"(?s)(.*)\.part-\*-of-([1-9]\d{0,5})", str(name))
-        total = int(match[2]) if match else 0
+        match = re.fullmatch(
+            r"(?s)(.*)\.part-(?:\*-of-([1-9]\d{0,5})|\d+-of-\d+\.(?:lock|damaged|rescued).*)", str(name)
+        )
+        total = int(match[2] or 0) if match else 0
         return [cls(total, k + 1).place(match[1]) for k in range(total)] if match else [name]
 
 

@@ -230,8 +230,7 @@ def test_nobody_else_writes_meanwhile_and_what_was_finished_is_kept(tmp_path, st
 
 
 def ledger_of(path, study):
-    store = existing_store(path, study)
-    if store is None:
+    if (store := existing_store(path, study)) is None:
         return {}
     rows = store.read()
     return {key: rows[row].tobytes() for key, row in store.rows.items()}

@@ -293,6 +293,9 @@ def test_the_commands(tmp_path, sweep):
     assert set(json.loads(sweep("check", store, "--json", code=1)[1])["ledger"]) == {name}
     assert f"{name}: the next `sweep run` computes again" in sweep("check", store, "--repair", code=0)[1]
     linksweep.run(model, store, axes={"x": [4]}, pool="serial")
+    (store / "y" / "zarr.json").unlink()
+    linksweep.run(model, store, axes={"x": [4]}, pool="serial")
+    assert not check(store)
     assert linksweep.open(store).y.values.tolist() == [1 / 3, 2 / 3, 4 / 3]
     [copy] = store.glob("blocks/study.*")
     copy.write_bytes(flip(copy.read_bytes()))
@@ -300,11 +303,8 @@ def test_the_commands(tmp_path, sweep):
     assert sweep("check", store, "--repair", code=0)[1] == sentence
 
 
-def nested(depth):
-    return [nested(depth - 1)] if depth else []
-
-
-VALUES = [10**30, 2**62, 0, -1, 1e308, nested(500), "x", "[" * 5000, None, True, [], {}, [10**12], {"x": 1}]
+NESTED = json.loads("[" * 500 + "]" * 500)
+VALUES = [10**30, 2**62, 0, -1, 1e308, NESTED, "x", "[" * 5000, None, True, [], {}, [10**12], {"x": 1}]
 COMMANDS = [
     *(["status", "S"], ["show", "S"], ["check", "S"], ["find", "S", "--where", "y > 1", "--over", "x"]),
     *(["merge", "S", "other.zarr", "-o", "m.zarr"], ["plan", "model.py:model", "--axis", "x=1,2,5", "-o", "S"]),
