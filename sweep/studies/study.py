@@ -673,10 +673,8 @@ class Part:
         >>> Part.places("s.zarr.part-*-of-2")
         ['s.zarr.part-1-of-2', 's.zarr.part-2-of-2']
         """
-        match = re.fullmatch(
-            r"(?s)(.*)\.part-(?:\*-of-([1-9]\d{0,5})|\d+-of-\d+\.(?:lock|damaged|rescued).*)", str(name)
-        )
-        total = int(match[2] or 0) if match else 0
+        match = re.fullmatch(r"(?s)(.*)\.part-(\*-of-([1-9]\d{0,5})|\d+-of-\d+\.(lock|damaged|rescued).*)", str(name))
+        total = int(match[3] or 0) if match else 0
         return [cls(total, k + 1).place(match[1]) for k in range(total)] if match else [name]
 
 
