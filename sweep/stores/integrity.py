@@ -262,18 +262,15 @@ class _Codec(_Part):
     name: Literal["bytes", "vlen-utf8", "zstd", "crc32c"]
 
 
-class _About(_Part, extra="allow"):
-    coordinates: str = ""
-    symbols: Json[Texts] = {}
-
-
 class _Array(_Part):
     shape: list[Count]
     grid: Annotated[Literal["regular"], Field(validation_alias=AliasPath("chunk_grid", "name"))]
     sizes: Annotated[list[Size], Field(validation_alias=AliasPath("chunk_grid", "configuration", "chunk_shape"))]
     codecs: list[_Codec]
     dimension_names: list[Name] = []
-    attributes: Annotated[_About, BeforeValidator(_flat_enough)]
+    attributes: Object
+    coordinates: Annotated[str, Field(validation_alias=AliasPath("attributes", "coordinates"))] = ""
+    symbols: Annotated[Json[Texts], Field(validation_alias=AliasPath("attributes", "symbols"))] = {}
 
     @property
     def chunks(self) -> int:
@@ -368,7 +365,7 @@ class Root(_Part):
         expected = {name: array.chunks for name, array in self.arrays.items()}
         if listed != Counter(expected):
             raise ValueError("it has other checksums than chunks")
-        coordinates = {n for a in self.arrays.values() for n in (*a.dimension_names, *a.attributes.coordinates.split())}
+        coordinates = {n for a in self.arrays.values() for n in (*a.dimension_names, *a.coordinates.split())}
         axes = set(self.arrays["status"].dimension_names if "status" in self.arrays else ())
         if other := [n for n in self.arrays.keys() - coordinates if not axes <= {*self.arrays[n].dimension_names}]:
             raise ValueError(f"{other[0]} has other axes than the status")

@@ -128,7 +128,8 @@ class Overrides:
         for flag, text in written:
             option = f"{flag} {text if text.isprintable() and len(text) <= 80 else shown(text)}"
             try:
-                values = _values_of(flag, text, parameters, texts, self.folder)
+                file: dict[KeyPath, Any] = {("points", "file"): str(self.folder / text)}
+                values = file if flag == "--points" else _values_of(flag, text, parameters, texts)
             except SweepError as error:
                 problems.append(f"{flag} {shown(text)}: {error}")
                 continue
@@ -161,12 +162,8 @@ def _put(document: dict[str, Any], place: KeyPath, value: Any) -> None:
     document[key] = value
 
 
-def _values_of(
-    flag: str, text: str, parameters: Collection[str], texts: Collection[str], folder: Path
-) -> dict[KeyPath, Any]:
+def _values_of(flag: str, text: str, parameters: Collection[str], texts: Collection[str]) -> dict[KeyPath, Any]:
     """Return the values that an option sets, by their places; raises SweepError that says how it is written."""
-    if flag == "--points":
-        return {("points", "file"): str((folder / text).resolve())}
     if flag == "--design":
         name, *numbers = text.split(":")
         if len(numbers) > 2:

@@ -154,10 +154,8 @@ def test_code_that_changes_its_process_as_it_is_imported_moves_no_store_and_sile
     changing = "import logging, os\nos.chdir('/')\nlogging.disable()\nlogging.getLogger('linksweep').disabled = True\n"
     (tmp_path / "f.py").write_text(changing + CODE.format(fails="False"))
     (tmp_path / "x.csv").write_text("x\n1\n2\n")
-    code, _, err = sweep_here("run", "f.py:f", "--points", "x.csv", "-o", "s.zarr", cwd=tmp_path)
-    assert (code, "wrote s.zarr" in err, (tmp_path / "s.zarr").exists()) == (0, True, True), err
-    code, _, err = sweep_here("run", "f.py:f", "--axis", "x=1,2", cwd=tmp_path)
-    assert (code, (tmp_path / "results" / "f.zarr").exists()) == (0, True), err
+    code, _, err = sweep_here("run", "f.py:f", "--points", "x.csv", cwd=tmp_path)
+    assert (code, "wrote results/f.zarr" in err, (tmp_path / "results" / "f.zarr").exists()) == (0, True, True), err
 
 
 @pytest.mark.parametrize("option", ["--log", "--events"])

@@ -339,9 +339,13 @@ def test_every_command_gives_a_sentence_about_a_forged_document(here, sweep_here
 ARRAYS = "consolidated_metadata", "metadata"
 FORGED = [(("attributes", name), [1], name) for name in ("title", "generation", "study_meaning", "manifest")]
 FORGED += [((*ARRAYS, "share", "dimension_names", 0), "z", "share has other axes")]
-FORGED += [((*ARRAYS, "metal", "attributes", "symbols"), '{"tin": 5}', "metal.attributes.symbols.tin: ")]
+FORGED += [
+    ((*ARRAYS, "metal", "attributes", "symbols"), '{"tin": 5}', "metal.attributes.symbols.tin: "),
+    ((*ARRAYS, "share", "attributes"), 5, "share.attributes: "),
+]
 FORGED += [(("attributes", "manifest", opening.IN_TEXT, "parts", 0, "records"), 2**28 - 1, "more records than")]
 FORGED += [((*ARRAYS, "share", "codecs", 2, "name"), "zstd", "such chunks")]
+FORGED += [((*ARRAYS, "share", "codecs", 1, "name"), "numcodecs.pickle", "share.codecs.1.name: Input should be")]
 
 
 @pytest.mark.parametrize(("at", "value", "said"), FORGED)
