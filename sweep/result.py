@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from linksweep.sweep.contract import SweepError
+from linksweep.sweep.stores.integrity import Tables, checked
 from linksweep.sweep.stores.location import Folder, reading
 from linksweep.sweep.table_writer import Table
 
@@ -138,7 +139,8 @@ def stored_table(where: Any) -> Result | None:
     """
     folder = Path(str(where))
     try:
-        attributes = json.loads(Folder(folder).get("zarr.json") or b"{}").get("attributes", {})
+        root = json.loads(Folder(folder).get("zarr.json") or b"{}")
+        attributes = root.get("attributes", {})
     except (OSError, ValueError, AttributeError, RecursionError):
         return None
     if not isinstance(attributes, dict) or attributes.get("result") not in STORED_TABLES:
@@ -148,7 +150,8 @@ def stored_table(where: Any) -> Result | None:
     with reading(Folder(folder)):
         Folder(folder).require_plain()
     try:
-        with xr.open_zarr(folder) as stored:
+        checked(Tables, root)
+        with xr.open_zarr(folder, consolidated=True) as stored:
             return Result(stored.load())
     except Exception as error:  # decoders of a damaged file may raise anything
         raise SweepError(f"is damaged: {' '.join(str(error).split())}", str(where)) from error

@@ -262,11 +262,28 @@ class _Codec(_Part):
     name: Literal["bytes", "vlen-utf8", "zstd", "crc32c"]
 
 
-class _Array(_Part):
+class _Plain(_Part):
+    # Arrays of Zarr 2 may have filters that unpickle.
+    zarr_format: Literal[3]
     shape: list[Count]
+    codecs: list[_Codec]
+
+
+class Tables(_Part):
+    """The root document of a store that is one dataset, as `sweep tie` writes it."""
+
+    arrays: Annotated[dict[Name, _Plain], Field(validation_alias=AliasPath("consolidated_metadata", "metadata"))]
+
+    @model_validator(mode="after")
+    def _fits(self) -> Self:
+        if sum(math.prod(array.shape) for array in self.arrays.values()) > MOST_BYTES:
+            raise ValueError("its arrays are too large")
+        return self
+
+
+class _Array(_Plain):
     grid: Annotated[Literal["regular"], Field(validation_alias=AliasPath("chunk_grid", "name"))]
     sizes: Annotated[list[Size], Field(validation_alias=AliasPath("chunk_grid", "configuration", "chunk_shape"))]
-    codecs: list[_Codec]
     dimension_names: list[Name] = []
     attributes: Object
     coordinates: Annotated[str, Field(validation_alias=AliasPath("attributes", "coordinates"))] = ""
