@@ -573,9 +573,10 @@ def named(what: str, values: object, known: Sequence[str], noun: str) -> list[st
 def setting_problem(one: "Parameter | Output | Experiment") -> str | None:
     """Return which text, truth value, number or unit of a declaration is none, None if all are."""
     kinds: dict[Any, str] = {str: "a string", bool: "True or False", int: "an integer", float | int | None: "a number"}
+    kinds[Mapping[str, str]] = "a mapping of values to symbols"
     for each in fields(one):
         value, kind = getattr(one, each.name), kinds.get(each.type)
-        if kind is not None and not isinstance(value, each.type):  # type: ignore[arg-type]
+        if kind is not None and not isinstance(value, Mapping if each.name == "symbols" else each.type):  # type: ignore[arg-type]
             return f"{each.name} = {shown(value)}: must be {kind}"
     return unit_problem(getattr(one, "unit", ""))
 
@@ -590,8 +591,6 @@ def parameter_problems(parameter: Parameter) -> Iterator[str]:
         yield f"choices = {shown(parameter.choices)}: must be a tuple of numbers, texts and truth values"
     elif text := setting_problem(parameter):
         yield text
-    elif not isinstance(parameter.symbols, Mapping):
-        yield f"symbols = {shown(parameter.symbols)}: must be a mapping of values to symbols"
     elif not isinstance(parameter.when, Mapping) or not all(
         isinstance(values, list | tuple) and values and name != parameter.name
         for name, values in parameter.when.items()

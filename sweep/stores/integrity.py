@@ -265,7 +265,6 @@ class _Codec(_Part):
 class _Plain(_Part):
     # Arrays of Zarr 2 may have filters that unpickle.
     zarr_format: Literal[3]
-    shape: list[Count]
     codecs: list[_Codec]
 
 
@@ -274,14 +273,9 @@ class Tables(_Part):
 
     arrays: Annotated[dict[Name, _Plain], Field(validation_alias=AliasPath("consolidated_metadata", "metadata"))]
 
-    @model_validator(mode="after")
-    def _fits(self) -> Self:
-        if sum(math.prod(array.shape) for array in self.arrays.values()) > MOST_BYTES:
-            raise ValueError("its arrays are too large")
-        return self
-
 
 class _Array(_Plain):
+    shape: list[Count]
     grid: Annotated[Literal["regular"], Field(validation_alias=AliasPath("chunk_grid", "name"))]
     sizes: Annotated[list[Size], Field(validation_alias=AliasPath("chunk_grid", "configuration", "chunk_shape"))]
     dimension_names: list[Name] = []

@@ -390,7 +390,8 @@ def find_root(location: Location) -> dict[str, Any] | None:
             content = location.get(ROOT)  # a run has perhaps just put it there
         try:
             root = integrity.unsealed(content, ROOT)
-            location.require_plain()  # what is not ours is not gone through
+            if isinstance(location, Folder):
+                location.keys()  # raises for what is neither file nor folder; what is not ours is not gone through
             _check_format(root["attributes"], where)
             integrity.checked(integrity.Root, root)
             return root
