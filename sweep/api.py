@@ -336,8 +336,8 @@ def plot(
     Needs Matplotlib: ``pip install 'linksweep[plot]'``.
 
     Args:
-        dataset: what `run`, `open`, `tie` or `forecast` returned, or a part of it.
-        kind: "lines", "law", "map", "scatter", "points", "pairs" or "scaling"; for a link "solution", "residuals",
+        dataset: what `run`, `open`, `tie`, `forecast` or `sensitivity` returned, or a part of it.
+        kind: "lines", "law", "map", "scatter", "points", "pairs" or "curves"; for a link "solution", "residuals",
             "separations", "weight", "ranking", "jackknife", "trajectory", "spectrum" or "bins"; for a forecast "epochs"
             or "ranking".  By default the kind that suits the dataset.
         variables: names of outputs, one column of panels each; the main result by default.  Here and below one name
