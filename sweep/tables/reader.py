@@ -89,8 +89,8 @@ def read_table(path: Path, texts: Collection[str] = ()) -> Any:
         return table
     except OSError as error:
         raise SweepError(f"cannot be read: {error.strerror or error}", str(path)) from error
-    except (SweepError, ValueError) as error:  # the latter of delimited text
-        raise SweepError(getattr(error, "problems", str(error)), str(path)) from error
+    except (SweepError, ValueError, MemoryError) as error:  # the second of delimited text
+        raise SweepError(getattr(error, "problems", str(error) or "is too large for the memory"), str(path)) from error
 
 
 @contextmanager
