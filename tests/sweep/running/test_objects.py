@@ -345,7 +345,8 @@ def test_equal_numbers_are_one_point_of_the_type_that_came_first(tmp_path_factor
     for is_table, some in runs:
         rows = list(dict.fromkeys([*rows, *some])) if is_table else rows  # it may only grow at its end
         values = rows if is_table else some
-        ds = linksweep.run(lambda x: f"{x!r}", store, pool="serial", **{"points" if is_table else "axes": {"x": values}})
+        section = {"points" if is_table else "axes": {"x": values}}
+        ds = linksweep.run(lambda x: repr(x) + "", store, **section, pool="serial")
         first = {value: value for value in values} | first
         assert sorted(ds.x.values.tolist()) == sorted(values)
         whole = linksweep.open(store)
