@@ -98,8 +98,7 @@ def test_points_that_do_not_differ_are_counted(tmp_path, sweep, command):
     if command == "reproduce":
         code, _, err = sweep("reproduce", "s.zarr", cwd=tmp_path)
         assert sweep("reproduce", "s.zarr", "--json", cwd=tmp_path)[0] == 2
-    number = "1 point" if command == "run" else "3 points"
-    words = f"{number} computed again, alone and in two orders: every bit as in s.zarr"
+    words = f"{'1 point' if command == 'run' else '3 points'} computed again, alone and in two orders: every bit as in"
     assert (code, words in err) == (0, True), err
 
 
