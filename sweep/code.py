@@ -224,8 +224,8 @@ class Reach:
         self._texts: dict[str, set[str]] = defaultdict(set)
         # Numbers of functions and classes that have one name, by their ids.
         self._alike: dict[str, dict[int, tuple[int, Any]]] = defaultdict(dict)
-        # Whose form is made, and whether any of it is left out.
-        self._value, self._is_partial = "", False
+        # Whose form is made, and whether any of it is left out, or may be by how the user's classes are pickled.
+        self._value, self._is_partial, self._is_hiding = "", False, False
         # The user's name through which what is followed is reached.
         self._through = ""
         # The objects are kept beside their ids, so that no other object gets the same id meanwhile.
@@ -277,9 +277,10 @@ class Reach:
             self.places[f"value {label}"] = f"{around['__file__']}, line {statements[0].lineno}"
             text = without_package("".join(map(unparsed, statements)))
             self.statements[without_package(f"{STATEMENT}{label}")] = digest_of(text)
-        self._value, self._is_partial = label, not self._changed.isdisjoint((name, label))
+        self._value, self._is_hiding = label, False
+        self._is_partial = not self._changed.isdisjoint((name, label))
         text = "" if self._is_partial else self._form(value, {})
-        begins = self._text(statements, around) if self._is_partial else ""
+        begins = self._text(statements, around) if self._is_partial or self._is_hiding else ""
         if self._is_partial and names is not None and not begins:  # as in a notebook
             self.unnoticed[label] = label_of(type(value))
         self._keep(f"value {label}", text + begins)
@@ -376,6 +377,9 @@ class Reach:
         states = state if isinstance(state, tuple) else (state,)  # __dict__ and slots
         if not is_other:  # also before the first call
             self._is_partial |= not self._changed.isdisjoint(_set_by(kind))  # type: ignore[arg-type]
+            pickling = [getattr(kind, name) for name in ("__getstate__", "__reduce__", "__reduce_ex__")]
+            users = [one for one in pickling if type(one) is FunctionType and distributions_of(one.__module__) is None]
+            self._is_hiding |= bool(reduce or users)
         kept = [self._kept(kind, one) if isinstance(one, dict) else one for one in states]
         return function, args, *kept, list(items or ()), list(pairs or ())
 

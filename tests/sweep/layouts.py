@@ -69,6 +69,7 @@ ENDS = {  # how the constant, CONSTANT, comes into NAME(x)
     "closure that changes": "def NAME_make(k):\n    s = {'k': k}\n    def inner(x):\n        s['calls'] = 1\n        return x + s['k']\n    return inner\n\nNAME_one = NAME_make(CONSTANT)\n\ndef NAME(x):\n    return NAME_one(x)",
     "hook of a class": "class B_NAME:\n    S = {}\n    def __init_subclass__(cls, k=0.0):\n        B_NAME.S['k'] = k\n\nclass C_NAME(B_NAME, k=CONSTANT):\n    pass\n\ndef NAME(x):\n    B_NAME.S.setdefault('calls', 0)\n    return x + B_NAME.S['k']",
     "place": "import pathlib\n\nNAME_here = pathlib.Path(__file__).resolve().parents[1]\nNAME_all = {'k': CONSTANT, 'at': str(NAME_here)}\n\ndef NAME(x, at=NAME_here / 'a'):\n    return x + NAME_all['k'] + len(at.relative_to(NAME_all['at']).parts)",
+    "left out of pickles": "class C_NAME:\n    def __init__(self, k):\n        self.k = k\n    def __getstate__(self):\n        return {}\n\nNAME_object = C_NAME(CONSTANT)\n\ndef NAME(x):\n    return x + NAME_object.k",
     "beside a lock": "import threading\n\nL_NAME = threading.Lock()\n\ndef NAME(x):\n    with L_NAME:\n        return x + CONSTANT",
 }
 UNUSED = """  # definitions that nothing reaches
