@@ -77,8 +77,7 @@ def f(x: float):
         FILE.write_text("100")
     return x * float(FILE.read_text())
 """
-EXECUTED = """
-import enum, linksweep
+EXECUTED = """import enum, linksweep
 K, gathered = {"k": 2}, {}
 class Colour(enum.Enum): RED, BLUE = 1, 2
 def f(c, x: int): return c.value * x * K["k"]
