@@ -18,7 +18,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from linksweep.sweep.code import Code, absolute_reference, keep
+from linksweep.sweep.code import Code, absolute_reference, keep, loaded_apart
 from linksweep.sweep.contract import (
     DefinitionError,
     Experiment,
@@ -506,13 +506,19 @@ class _Reader:
         the conditions under which they have an effect.
         """
         objects: dict[str, tuple[Named, ...]] = {}
+        reference = absolute_reference(str(self.document.get("experiment", DEFAULT_EXPERIMENT)), self.folder)
         for parameter in experiment.parameters:
             name = parameter.name
+            place = "axes" if name in axes else "fixed", name
             values = (*parameter.defined, *(axes.get(name) or ()), *([fixed[name]] if name in fixed else []))
             if parameter.takes_objects or parameter.optional:
-                with self.problems.at(("axes" if name in axes else "fixed", name)):
+                with self.problems.at(place):
                     Values.require_labels(values)
             objects[name] = tuple({one.name: one for one in values if isinstance(one, Named)}.values())
+            for one in objects[name]:
+                if module := loaded_apart(one.value, reference):
+                    said = f"{one.name} is of the module {module}, which {reference} has loaded apart"
+                    self.problems.add(place, f"{said}; give the function itself, and not its name")
         return experiment.with_setting("defined", objects).with_setting("when", when)
 
     def _form_and_experiment(self) -> tuple[Form, Experiment, set[str | int]]:

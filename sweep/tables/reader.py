@@ -286,7 +286,9 @@ def from_frame(frame: Any) -> Any:
             values: Any = column.to_numpy(dtype=kind, na_value=np.nan if kind.kind == "f" else kind.type(0).item())
         else:
             texts = ("" if gone else text for text, gone in zip(column, missing, strict=True))
-            decoded = [text.decode("utf-8", "replace") if isinstance(text, bytes) else str(text) for text in texts]
+            decoded = [
+                text.decode("utf-8", "backslashreplace") if isinstance(text, bytes) else str(text) for text in texts
+            ]
             values = np.array(decoded, dtype=np.str_)
         if len(values) and missing.all():
             values = np.full(len(values), np.nan)

@@ -2,6 +2,7 @@
 
 import datetime
 import enum
+import importlib
 import itertools
 import json
 from collections import ChainMap
@@ -126,6 +127,15 @@ def test_objects_and_numbers_that_cannot_be_told_apart_are_refused(axes, said, t
     with pytest.raises(linksweep.SweepError, match=said):
         run(tmp_path / "s.zarr", axes=axes)
     assert not (tmp_path / "s.zarr").exists()
+
+
+def test_objects_of_a_file_that_is_loaded_apart_are_refused(tmp_path, monkeypatch):
+    (tmp_path / "twice.py").write_text("import enum\nK = enum.Enum('K', 'A B')\ndef g(k): return k is K.B\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    twice = importlib.import_module("twice")
+    with pytest.raises(linksweep.SweepError, match=r"axes\.k: A is of the module twice, which .* has loaded apart"):
+        linksweep.run(f"{tmp_path}/twice.py:g", tmp_path / "s", axes={"k": [*twice.K]})
+    assert linksweep.run(twice.g, tmp_path / "s", axes={"k": [*twice.K]}).g.values.tolist() == [False, True]
 
 
 def test_what_may_be_none_can_be_none(tmp_path, sweep):
