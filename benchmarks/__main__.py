@@ -95,12 +95,12 @@ def main() -> int:
     missed = False
     for name in options.names or BENCHMARKS:
         before = host_load()
-        found = BENCHMARKS[name](options.size, options.repetitions, not options.without_peers)
+        result = BENCHMARKS[name](options.size, options.repetitions, not options.without_peers)
         load = [before, host_load()]
         print(f"\n{name} (load average per core {load[0]:.1f} before, {load[1]:.1f} after)")
-        print("\n".join(map(line, found)), flush=True)
-        report["benchmarks"][name] = {"load_per_core": load, "measured": [one.as_json() for one in found]}
-        missed |= any(one.verdict == "MISSED" for one in found)
+        print("\n".join(map(line, result)), flush=True)
+        report["benchmarks"][name] = {"load_per_core": load, "measured": [one.as_json() for one in result]}
+        missed |= any(one.verdict == "MISSED" for one in result)
         if options.json:
             options.json.write_text(json.dumps(report, indent=1) + "\n")
     return int(missed)

@@ -44,7 +44,7 @@ def measure(size: Size, repetitions: int, peers: bool) -> list[Measured]:
     """Return efficiencies: the ideal seconds over those beyond what a run of one task takes."""
     workers, rounds = (2, 2) if size == "tiny" else (WORKERS, ROUNDS)
     tasks = workers * THREADS * rounds
-    found = []
+    result = []
     for words, lifetime_s in (("all stay", 0.0), (f"one is replaced every {LIFETIME_S:g} s", LIFETIME_S)):
         command = [sys.executable, "-m", "benchmarks.many_workers", *map(str, (workers, THREADS, lifetime_s))]
         with (
@@ -65,11 +65,11 @@ def measure(size: Size, repetitions: int, peers: bool) -> list[Measured]:
         one, many = runs
         spent = many.seconds - one.seconds
         target = Target(">=", 0.9) if size != "tiny" else None
-        found += [
+        result += [
             Measured(f"{workers} workers, {words}: efficiency", [TASK_S * rounds / spent], "", target),
             Measured("  by Dask alone", [TASK_S * rounds / bare], ""),
             Measured("  seconds", [many.seconds], "s"),
             Measured("  run of one task", [one.seconds], "s"),
             Measured("  cores that the client keeps busy", [many.cpu_s / many.seconds], "", Target("<=", 1.0)),
         ]
-    return found
+    return result

@@ -41,18 +41,18 @@ def cases() -> dict[str, Case]:
     """Return by name the points of a block and its realisations."""
     base = link.defaults() | {"catalogue": "quasars", "v_max": 20.0}
     both = {"reference_errors": "normal"}
-    found: dict[str, Case] = {}
+    result: dict[str, Case] = {}
     for n_obj in N_OBJ:
         one = link.defaults() | {"n_obj": n_obj}
         few = ROWS if n_obj < N_OBJ[-1] else ROWS // 4
-        found[f"fixed design, N = {n_obj}"] = [one], ROWS
-        found[f"equal weights, N = {n_obj}"] = [one | {"weighting": "equal"}], ROWS
-        found[f"errors of both, N = {n_obj}"] = [one | both], few
+        result[f"fixed design, N = {n_obj}"] = [one], ROWS
+        result[f"equal weights, N = {n_obj}"] = [one | {"weighting": "equal"}], ROWS
+        result[f"errors of both, N = {n_obj}"] = [one | both], few
         scales = [one | {"error_scale": 1.0 + 0.1 * k} for k in range(13)]
-        found[f"13 error scales, N = {n_obj}"] = scales, ROWS
-    found["13 limits of Table 1"] = [base | {"v_max": v} for v in LIMITS], ROWS
-    found["13 limits of Table 1, errors of both"] = [base | both | {"v_max": v} for v in LIMITS], ROWS // 4
-    return found
+        result[f"13 error scales, N = {n_obj}"] = scales, ROWS
+    result["13 limits of Table 1"] = [base | {"v_max": v} for v in LIMITS], ROWS
+    result["13 limits of Table 1, errors of both"] = [base | both | {"v_max": v} for v in LIMITS], ROWS // 4
+    return result
 
 
 def normals(case: Case) -> float:
@@ -104,7 +104,7 @@ def ratios(repetitions: int) -> dict[str, list[float]]:
     """Return for each case the throughput of normals as a fraction of the bare generator's."""
     chosen, fill_count = cases(), 2**22
     fill = bare(fill_count)
-    found: dict[str, list[float]] = {name: [] for name in chosen}
+    result: dict[str, list[float]] = {name: [] for name in chosen}
     for turn in range(repetitions + 1):
         for name, case in chosen.items():
             # short blocks are repeated until a clock can tell them from nothing
@@ -112,8 +112,8 @@ def ratios(repetitions: int) -> dict[str, list[float]]:
             per_normal = seconds(fill) / fill_count
             taken = seconds(repeated(block(case), times))
             if turn:  # the first turn is to warm up
-                found[name].append(times * normals(case) * per_normal / taken)
-    return found
+                result[name].append(times * normals(case) * per_normal / taken)
+    return result
 
 
 def projected(n_sim: int) -> dict[str, float]:
@@ -133,11 +133,11 @@ def measure(size: Size, repetitions: int, peers: bool) -> list[Measured]:
     """Return the rate of the bare generator, the ratio of every case and the seconds of the projected method."""
     command = [sys.executable, "-m", "benchmarks.core_speed", size, str(repetitions)]
     with tempfile.TemporaryDirectory() as folder:
-        found = json.loads(watch(command, Path(folder), ENVIRONMENT).output)
-    once, whole = found["projected"], size != "tiny"
+        result = json.loads(watch(command, Path(folder), ENVIRONMENT).output)
+    once, whole = result["projected"], size != "tiny"
     return [
-        Measured("bare generator", [found["rate"] / 1e6], "M/s", note="unit normals a second and core"),
-        *(Measured(n, values, "of bare", target(n) if whole else None) for n, values in found["ratios"].items()),
+        Measured("bare generator", [result["rate"] / 1e6], "M/s", note="unit normals a second and core"),
+        *(Measured(n, values, "of bare", target(n) if whole else None) for n, values in result["ratios"].items()),
         Measured(f"projected, {PROJECTED_OBJECTS:,} objects: set-up", [once["set_up_s"]], "s CPU"),
         Measured(
             f"projected: {once['n_sim']:,.0f} realisations",
@@ -153,9 +153,9 @@ def main(size: str, repetitions: str) -> None:
     with threadpool_limits(1):
         fill = bare(2**24)
         rate = 2**24 / min(seconds(fill) for _ in range(3))
-        found = ratios(1 if size == "tiny" else int(repetitions))
+        result = ratios(1 if size == "tiny" else int(repetitions))
         once = projected(10_000 if size == "tiny" else 1_000_000)
-    json.dump({"rate": rate, "ratios": found, "projected": once}, sys.stdout)
+    json.dump({"rate": rate, "ratios": result, "projected": once}, sys.stdout)
 
 
 if __name__ == "__main__":

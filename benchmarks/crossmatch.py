@@ -183,16 +183,16 @@ def search(folder: Path) -> dict[str, Any]:
 
 def judge(folder: Path, truth: dict[str, Any]) -> dict[str, Any]:
     """Return completeness and false-match rate of each class against the truth."""
-    found = Table.read(folder / "out.ecsv", format="ascii.ecsv")
-    star = np.empty(len(found), dtype=np.int64)
-    galaxy = np.empty(len(found), dtype=np.int64)
+    actual = Table.read(folder / "out.ecsv", format="ascii.ecsv")
+    star = np.empty(len(actual), dtype=np.int64)
+    galaxy = np.empty(len(actual), dtype=np.int64)
     for column, row, out in (("star_table", "star_row", star), ("galaxy_table", "galaxy_row", galaxy)):
-        tables = np.asarray(found[column])
+        tables = np.asarray(actual[column])
         for name in np.unique(tables):
             mine = tables == name
-            out[mine] = truth[str(name)][np.asarray(found[row])[mine] - 1]
+            out[mine] = truth[str(name)][np.asarray(actual[row])[mine] - 1]
     right = star == galaxy
-    classes = np.asarray(found["class"])
+    classes = np.asarray(actual["class"])
     result = {
         name: {"matches": int(mine.sum()), "false": int((mine & ~right).sum())}
         for name in ("certain", "uncertain", "supplement", "all")
@@ -204,7 +204,7 @@ def judge(folder: Path, truth: dict[str, Any]) -> dict[str, Any]:
         "classes": result,
         "completeness": int(right.sum()) / truth["counterparts"],
         "completeness_without_blunders": int(right.sum()) / truth["in_a_catalogue_at_the_right_place"],
-        "counterparts_found_twice": len(found) - len(np.unique(star[right])) - int((~right).sum()),
+        "counterparts_found_twice": len(actual) - len(np.unique(star[right])) - int((~right).sum()),
     }
 
 

@@ -56,7 +56,7 @@ def measure(size: Size, repetitions: int, peers: bool) -> list[Measured]:
     report: list[Measured] = []
     lines = {tool: [0.0] for tool in pythons}
     for model, words in MODELS.items():
-        found: dict[str, list[Timed]] = {tool: [] for tool in pythons}
+        result: dict[str, list[Timed]] = {tool: [] for tool in pythons}
         notes = dict.fromkeys(pythons, "")
         for _ in range(1 if size == "tiny" else repetitions):
             for tool, python in pythons.items():
@@ -64,21 +64,21 @@ def measure(size: Size, repetitions: int, peers: bool) -> list[Measured]:
                     notes[tool] = "pvlib is not installed here"
                     continue
                 try:
-                    found[tool].append(_timed(python, tool, model, MOST[size]))
+                    result[tool].append(_timed(python, tool, model, MOST[size]))
                 except (RuntimeError, ValueError, IndexError) as error:
                     notes[tool] = str(error).strip().splitlines()[-1]
-        for tool, told in found.items():
-            note = notes[tool] or f"{told[0].lines} lines"
+        for tool, reported in result.items():
+            note = notes[tool] or f"{reported[0].lines} lines"
             target = VECTORISED if (model, tool) == ("vectorised", "linksweep") else None
-            report.append(Measured(f"{words}: {tool}", [one.seconds for one in told], "s", target, note))
+            report.append(Measured(f"{words}: {tool}", [one.seconds for one in reported], "s", target, note))
             if model == "nap":
-                after = [(one.seconds - one.first_seconds) / IDEAL_S for one in told]
+                after = [(one.seconds - one.first_seconds) / IDEAL_S for one in reported]
                 target = NEAR_IDEAL if tool == "linksweep" and size != "tiny" else None
                 report.append(Measured(f"{words}, over the ideal after start: {tool}", after, "", target))
-            if model in FOUR and told:
-                lines[tool][0] += told[0].lines
+            if model in FOUR and reported:
+                lines[tool][0] += reported[0].lines
     report += _whole_commands(pythons, size, repetitions) if peers else []
-    return [*report, *(Measured(f"lines of code of the first four: {tool}", of) for tool, of in lines.items())]
+    return [*report, *(Measured(f"lines of code of the first four: {tool}", n) for tool, n in lines.items())]
 
 
 def _whole_commands(pythons: dict[str, str], size: Size, repetitions: int) -> list[Measured]:

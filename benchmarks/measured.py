@@ -78,7 +78,7 @@ def watch(command: Sequence[str], folder: Path, further: Mapping[str, str] | Non
 
     Raises RuntimeError with its last words if it fails.
     """
-    found, cpu = Watched(), {}
+    result, cpu = Watched(), {}
     begun = time.perf_counter()
     process = subprocess.Popen(
         command,
@@ -97,22 +97,22 @@ def watch(command: Sequence[str], folder: Path, further: Mapping[str, str] | Non
                 for one in [top, *top.children(recursive=True)]:
                     times, memory = one.cpu_times(), one.memory_info().rss
                     cpu[one.pid] = times.user + times.system
-                    found.peak_bytes = max(found.peak_bytes, memory)
+                    result.peak_bytes = max(result.peak_bytes, memory)
                     if one.pid == top.pid:
-                        found.own_bytes.append((time.perf_counter() - begun, memory))
+                        result.own_bytes.append((time.perf_counter() - begun, memory))
             except psutil.Error:  # it has just ended
                 pass
             over.wait(LOOK_EVERY_S)
 
     watcher = threading.Thread(target=look)
     watcher.start()
-    found.output, errors = process.communicate()
+    result.output, errors = process.communicate()
     over.set()
     watcher.join()
-    found.seconds, found.cpu_s = time.perf_counter() - begun, sum(cpu.values())
+    result.seconds, result.cpu_s = time.perf_counter() - begun, sum(cpu.values())
     if process.returncode:
         raise RuntimeError(f"{' '.join(map(str, command))}: exit code {process.returncode}: {errors[-2000:]}")
-    return found
+    return result
 
 
 def host_load() -> float:

@@ -26,11 +26,11 @@ def measure(size: Size, repetitions: int, peers: bool) -> list[Measured]:
     few, many = N_SIM[size]
     peaks: dict[int, list[float]] = {few: [], many: []}
     for _ in range(1 if size == "tiny" else repetitions):
-        for n_sim, found in peaks.items():
+        for n_sim, result in peaks.items():
             with tempfile.TemporaryDirectory() as name:
                 (Path(name) / "study.toml").write_text(STUDY.format(n_sim=n_sim))
                 run = watch([*SWEEP, "run", "study.toml", "--workers", "2"], Path(name))
-                found.append(run.peak_bytes / MEGABYTE)
+                result.append(run.peak_bytes / MEGABYTE)
     limit = Target("<=", 400.0) if size != "tiny" else None
     ratios = [b / a for a, b in zip(peaks[few], peaks[many], strict=True)]
     return [

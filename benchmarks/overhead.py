@@ -65,10 +65,10 @@ def measure(size: Size, repetitions: int, peers: bool) -> list[Measured]:
         folder = Path(name)
         (folder / "ours.py").write_text(OURS)
         for _ in range(turns):
-            for pool, found in ours.items():
+            for pool, result in ours.items():
                 output = watch([sys.executable, "ours.py", str(POINTS[size]), pool], folder).output
                 rate, cpu_rate = map(float, output.split())
-                found.append((rate, cpu_rate))
+                result.append((rate, cpu_rate))
             for peer, (points, _) in PEERS.items() if python else ():
                 if peer in missing:
                     continue

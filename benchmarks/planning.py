@@ -26,8 +26,8 @@ STUDIES = (
 def document(name: str, n: int) -> dict[str, object]:
     """Return the study of a name, with about n^4 points."""
     models = ["amex", "gaia", "gaia-2001", "mine"]
-    own = {"nominal_length": 3.0, "sigma_pm": [[9.0, 0.1], [21.0, 2.0]], "position_ratio": 0.7}
-    both = {"title": name, "define": {"model": {"mine": own}}}
+    ours = {"nominal_length": 3.0, "sigma_pm": [[9.0, 0.1], [21.0, 2.0]], "position_ratio": 0.7}
+    both = {"title": name, "define": {"model": {"mine": ours}}}
     rest = round((n**4 / len(models)) ** (1 / 3))
     scales = {"start": 0.5, "stop": 2.0, "num": rest}
     lengths = {"start": 2.0, "stop": 8.0, "num": rest}
@@ -52,10 +52,10 @@ def plan(name: str, n: int) -> None:
     load_experiment("linksweep.core.experiment:link")  # what is imported is not planned
     begun = time.process_time()
     with TemporaryDirectory() as folder:
-        found, _ = plan_study(study_from_dict(document(name, n)), Path(folder) / "none.zarr")
+        result, _ = plan_study(study_from_dict(document(name, n)), Path(folder) / "none.zarr")
     seconds = time.process_time() - begun
     peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    points = len(found.grid)
+    points = len(result.grid)
     print(f"{seconds:6.1f} s  {1e6 * seconds / points:5.1f} us a point  {peak_mb:6.0f} MB  {points:9,} points  {name}")
 
 

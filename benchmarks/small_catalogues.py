@@ -18,7 +18,7 @@ START_UP_S = 3.0
 def measure(size: Size, repetitions: int, peers: bool) -> list[Measured]:
     """Return seconds of each study and its normals, and their ratio, turn by turn."""
     few = ["--set", "n_cat=2", "--set", "n_sim=2"] if size == "tiny" else []
-    found = []
+    result = []
     for name in STUDIES[:1] if size == "tiny" else STUDIES:
         count = 1_000_000 if size == "tiny" else normals_of(name)
         ours, cpu, normals = [], [], []
@@ -31,13 +31,13 @@ def measure(size: Size, repetitions: int, peers: bool) -> list[Measured]:
                 alone = [sys.executable, "-m", "benchmarks.normals", str(count), str(WORKERS)]
                 normals.append(float(watch(alone, Path(folder)).output))
         allowed = [a / (2.0 * n + START_UP_S) for a, n in zip(ours, normals, strict=True)]
-        found += [
+        result += [
             Measured(f"sweep run {name}, whole process", ours, "s"),
             Measured("its CPU time, all processes", cpu, "s CPU"),
             Measured("its normals alone", normals, "s", note=f"{count:,}"),
             Measured("part of 2 x normals + 3 s", allowed, "", TARGETS[name] if size != "tiny" else None),
         ]
-    return found
+    return result
 
 
 def normals_of(name: str) -> int:

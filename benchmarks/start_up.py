@@ -45,8 +45,8 @@ def measure(size: Size, repetitions: int, peers: bool) -> list[Measured]:
                 importing.append(watch([sys.executable, "-c", modules], folder).seconds)
         command = f"{sys.executable} -X importtime -c '{modules}' 2>&1"
         for text in watch(["/bin/sh", "-c", command], folder).output.splitlines():
-            if found := re.match(r"import time:\s+(\d+) \|\s+\d+ \| +(\w+)", text):
-                profile[found[2]] += int(found[1])
+            if result := re.match(r"import time:\s+(\d+) \|\s+\d+ \| +(\w+)", text):
+                profile[result[2]] += int(result[1])
     ratio = [a / b for a, b in zip(helping, clicking, strict=True)]
     whole = sum(profile.values())
     return [

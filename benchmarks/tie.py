@@ -95,7 +95,7 @@ print(json.dumps(time.process_time() - begun))
 def measure(size: Size, repetitions: int, _peers: bool) -> list[Measured]:
     """Return CPU seconds and memory of one pass by degree, of the whole command, and of forty radio stars."""
     n = 20_000 if size == "tiny" else N_SOURCES
-    found = []
+    result = []
     with tempfile.TemporaryDirectory() as folder:
         for degree in (1, 5):
             runs = [_pass(n, degree, Path(folder)) for _ in range(repetitions)]
@@ -105,11 +105,11 @@ def measure(size: Size, repetitions: int, _peers: bool) -> list[Measured]:
                 ("jackknife of cells", "extra", "% extra", 10.0),
             ):
                 target = Target("<=", limit) if degree == 5 and size != "tiny" else None
-                found.append(Measured(f"{name}, l = {degree}", [run[key] for run in runs], unit, target))
-        found.append(_command(n, Path(folder), repetitions))
-        found += _row_groups(n, Path(folder), repetitions)
-        found.append(_radio_stars(Path(folder), repetitions))
-    return found
+                result.append(Measured(f"{name}, l = {degree}", [run[key] for run in runs], unit, target))
+        result.append(_command(n, Path(folder), repetitions))
+        result += _row_groups(n, Path(folder), repetitions)
+        result.append(_radio_stars(Path(folder), repetitions))
+    return result
 
 
 def _pass(n: int, degree: int, folder: Path) -> dict[str, float]:
@@ -142,10 +142,10 @@ def _row_groups(n: int, folder: Path, repetitions: int) -> list[Measured]:
     slope = [(high - low) / (n - n // 4) for low, high in zip(peaks[n // 4], peaks[n], strict=True)]
     note = f"peak {max(peaks[n]) / 1e6:,.0f} MB"
     name = f"sweep tie of {n:,} sources in Parquet, row group by row group"
-    found = [Measured(name, [run.cpu_s for run in runs], "s CPU", Target("<=", 40.0), note)]
+    result = [Measured(name, [run.cpu_s for run in runs], "s CPU", Target("<=", 40.0), note)]
     if n >= N_SOURCES:
-        found.append(Measured("memory of it", slope, "bytes a source", Target("<=", 50.0)))
-    return found
+        result.append(Measured("memory of it", slope, "bytes a source", Target("<=", 50.0)))
+    return result
 
 
 def _radio_stars(folder: Path, repetitions: int) -> Measured:

@@ -69,12 +69,12 @@ def main() -> None:
 def gaia(ids, seen, rows):
     """Return the rows of gaia_source, or of all_source_astrometry: single stars."""
     table = Table({"source_id": ids, "ref_epoch": np.full(N, EPOCH)}, meta=META)
-    found, sigma = np.array([row[0] for row in rows]).T, np.sqrt([np.diag(row[1]) for row in rows]).T
+    result, sigma = np.array([row[0] for row in rows]).T, np.sqrt([np.diag(row[1]) for row in rows]).T
     for i, name in enumerate(NAMES):
-        table[name] = np.round(found[i], 6)
+        table[name] = np.round(result[i], 6)
         table[f"{name}_error"] = np.round(sigma[i], 6)
-    table["ra"] = (seen[0] + found[0] * MAS / np.cos(seen[1])) / DEGREE
-    table["dec"] = (seen[1] + found[1] * MAS) / DEGREE
+    table["ra"] = (seen[0] + result[0] * MAS / np.cos(seen[1])) / DEGREE
+    table["dec"] = (seen[1] + result[1] * MAS) / DEGREE
     for i, j in PAIRS:
         correlation = [row[1][i, j] / (sigma[i, s] * sigma[j, s]) for s, row in enumerate(rows)]
         table[f"{NAMES[i]}_{NAMES[j]}_corr"] = np.round(correlation, 6)

@@ -38,9 +38,9 @@ def sun(tilt, azimuth, sky):
     at = place.get_solarposition(hours)
     clear = clearsky.simplified_solis(at["apparent_elevation"])
     extra = irradiance.get_extra_radiation(hours)
-    own = clear["dni"], clear["ghi"], clear["dhi"]
+    ours = clear["dni"], clear["ghi"], clear["dhi"]
     total = irradiance.get_total_irradiance(
-        tilt, azimuth, at["apparent_zenith"], at["azimuth"], *own, dni_extra=extra, model=sky
+        tilt, azimuth, at["apparent_zenith"], at["azimuth"], *ours, dni_extra=extra, model=sky
     )
     return float(total["poa_global"].fillna(0.0).sum())
 

@@ -32,17 +32,17 @@ def lines_of(function):
     """
     source = inspect.getsource(function)
     lines = [line.strip() for line in source.splitlines()[1:]]
-    own = sum(bool(line) and not line.startswith('"""') for line in lines)
+    ours = sum(bool(line) and not line.startswith('"""') for line in lines)
     helper = getattr(inspect.getmodule(function), "_seeded", None)
-    return own + (len(inspect.getsource(helper).splitlines()) if helper is not None and "_seeded" in source else 0)
+    return ours + (len(inspect.getsource(helper).splitlines()) if helper is not None and "_seeded" in source else 0)
 
 
-def check(name, axes, found):
+def check(name, axes, actual):
     """Compare some points with what the model itself returns."""
     model = getattr(models, "area" if name in ("vectorised", "trivial") else name)
     for values in itertools.islice(itertools.product(*axes.values()), 0, None, 97):
         point = dict(zip(axes, values, strict=True))
-        result = float(found[OUTPUT.get(name, name)].sel(point))
+        result = float(actual[OUTPUT.get(name, name)].sel(point))
         if name == "wait":
             rng = np.random.default_rng(7)
             drawn = [model(**point, rng=rng) for _ in range(models.REALISATIONS)]
@@ -52,7 +52,7 @@ def check(name, axes, found):
         expected = model(**point)
         assert result == (expected[1] if name == "sir" else expected), (point, result, expected)
         if name == "sir":
-            curve = found["infected"].sel(point)
+            curve = actual["infected"].sel(point)
             assert np.array_equal(curve.values if curve.ndim else curve.item(), expected[0]), point
 
 
@@ -71,12 +71,12 @@ def main(tool, name, most, once=""):
             place.mkdir()
             os.chdir(place)
             begun = time.perf_counter()
-            found = sweep(chosen)
+            actual = sweep(chosen)
             seconds[kind] = time.perf_counter() - begun
-        check(name, axes, found)
+        check(name, axes, actual)
         os.chdir(os.sep)
-    told = {"first_seconds": seconds["few"], "seconds": seconds["all"], "lines": lines_of(sweep)}
-    print(json.dumps(told), flush=True)
+    report = {"first_seconds": seconds["few"], "seconds": seconds["all"], "lines": lines_of(sweep)}
+    print(json.dumps(report), flush=True)
 
 
 if __name__ == "__main__":

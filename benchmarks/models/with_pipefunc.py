@@ -22,9 +22,9 @@ def _seeded(load, seed):
 def wait(axes):
     """Sweep the queue."""
     pipeline = Pipeline([PipeFunc(_seeded, "wait", mapspec="load[load], seed[seed] -> wait[load, seed]")])
-    given = {**axes, "seed": range(models.REALISATIONS)}
-    found = pipeline.map(given, run_folder="wait", show_progress=False).to_xarray()["wait"].astype(float)
-    return found.mean("seed").to_dataset(name="wait_mean").assign(wait_q95=found.quantile(0.95, "seed"))
+    options = {**axes, "seed": range(models.REALISATIONS)}
+    result = pipeline.map(options, run_folder="wait", show_progress=False).to_xarray()["wait"].astype(float)
+    return result.mean("seed").to_dataset(name="wait_mean").assign(wait_q95=result.quantile(0.95, "seed"))
 
 
 def sun(axes):
@@ -38,8 +38,8 @@ def vectorised(axes):
     """Sweep the product, all points in one call; the result has no labels of its own."""
     width, height = np.meshgrid(*axes.values(), indexing="ij")
     pipeline = Pipeline([PipeFunc(models.area, "area")])
-    found = pipeline.map({"width": width, "height": height}, run_folder="vectorised", show_progress=False)
-    return xr.Dataset({"area": (tuple(axes), found["area"].output)}, axes)
+    result = pipeline.map({"width": width, "height": height}, run_folder="vectorised", show_progress=False)
+    return xr.Dataset({"area": (tuple(axes), result["area"].output)}, axes)
 
 
 def trivial(axes):

@@ -7,8 +7,8 @@ import xyzpy
 
 def sir(axes):
     """Sweep the epidemic."""
-    own = {"var_dims": {"infected": ["time"]}, "var_coords": {"time": models.DAYS}}
-    runner = xyzpy.Runner(models.sir, var_names=["infected", "peak"], **own)
+    ours = {"var_dims": {"infected": ["time"]}, "var_coords": {"time": models.DAYS}}
+    runner = xyzpy.Runner(models.sir, var_names=["infected", "peak"], **ours)
     harvester = xyzpy.Harvester(runner, data_name="sir.h5", engine="h5netcdf")
     harvester.harvest_combos(axes, parallel=True, verbosity=0)
     return harvester.full_ds
@@ -24,8 +24,8 @@ def wait(axes):
     harvester = xyzpy.Harvester(runner, data_name="wait.h5", engine="h5netcdf")
     seeds = range(models.REALISATIONS)
     harvester.harvest_combos({**axes, "seed": seeds}, parallel=True, verbosity=0)
-    found = harvester.full_ds["wait"]
-    return found.mean("seed").to_dataset(name="wait_mean").assign(wait_q95=found.quantile(0.95, "seed"))
+    result = harvester.full_ds["wait"]
+    return result.mean("seed").to_dataset(name="wait_mean").assign(wait_q95=result.quantile(0.95, "seed"))
 
 
 def sun(axes):

@@ -121,8 +121,8 @@ def test_what_is_unused_really_changes_nothing_and_the_rest_of_a_catalogue_somet
         if link.check(changed) is not None:
             assert catalogue == "radio-stars", name  # which has no limits, and says so
             continue
-        found = evaluated(4, changed)
-        same = all(np.array_equal(found[k], reference[k], equal_nan=True) for k in reference)
+        result = evaluated(4, changed)
+        same = all(np.array_equal(result[k], reference[k], equal_nan=True) for k in reference)
         assert same == (name in unused) or name == "corrections", name  # which need motions to change something
 
 
@@ -134,9 +134,9 @@ def test_what_acts_on_what_is_not_measured_is_unused(fixed):
     reference = evaluated(4, base)
     for name in names:
         assert name in link.unused(base | {name: OTHER[name]})
-        found = evaluated(4, base | {one: OTHER[one] for one in {name, name.removesuffix("_size")}})
+        result = evaluated(4, base | {one: OTHER[one] for one in {name, name.removesuffix("_size")}})
         for key in reference.keys() - {"chi2_variance"}:
-            np.testing.assert_allclose(found[key], reference[key], rtol=1e-9, err_msg=f"{name}: {key}")
+            np.testing.assert_allclose(result[key], reference[key], rtol=1e-9, err_msg=f"{name}: {key}")
 
 
 @pytest.mark.parametrize(("fixed", "sentence"), WRONG)
@@ -148,10 +148,10 @@ def test_a_study_is_told_what_is_wrong_and_nothing_is_written(fixed, sentence, t
 
 
 def test_magnitudes_outside_of_a_curves_range_are_warned_of():
-    (found,) = link.warn(point(model="gaia-dr3"))
-    assert "known from V = 8 to 21, and the catalogue has or may have objects beyond" in found
-    (found,) = link.warn(point(model="gaia", v_min=13.0, v_max=20.5))
-    assert "objects beyond, where it is extrapolated" in found
+    (result,) = link.warn(point(model="gaia-dr3"))
+    assert "known from V = 8 to 21, and the catalogue has or may have objects beyond" in result
+    (result,) = link.warn(point(model="gaia", v_min=13.0, v_max=20.5))
+    assert "objects beyond, where it is extrapolated" in result
     for changes in ({"v_min": 13.0}, QUASARS | {"n_obj": None}):
         assert link.warn(point(model="gaia", **changes)) == []
 
@@ -162,9 +162,9 @@ def test_an_object_with_most_of_the_weight_is_named_with_its_share(tmp_path):
     Table(columns | {"v_mag": v_mag}).write(tmp_path / "sky.ecsv")
     both = {"model": "amex", "reference_errors": "normal", "reference_sigma_pm": 0.5}  # variances add up
     one = point(catalogue="file", file=table_file(tmp_path / "sky.ecsv"), n_obj=None, **both)
-    (found,) = link.warn(one)
+    (result,) = link.warn(one)
     weight = 1.0 / (MISSIONS["amex"].sigma_pm_mas_yr(v_mag) ** 2 + 0.5**2)
-    assert f"row 1 (Mrk 421, V = 9.37) holds {100 * weight[0] / weight.sum():.0f} % of the weight" in found
+    assert f"row 1 (Mrk 421, V = 9.37) holds {100 * weight[0] / weight.sum():.0f} % of the weight" in result
     assert link.warn(one | {"v_min": 10.0}) == []
     alike = {"reference_errors": "normal", "reference_sigma_pos": 1e3, "reference_sigma_pm": 1e3}
     assert (link.warn(one | alike), link.warn(one | {"weighting": "equal"})) == ([], [])
@@ -185,5 +185,5 @@ def test_a_run_says_and_stores_its_warnings_and_show_repeats_them(tmp_path, swee
 
 @pytest.mark.parametrize(("last", "warned"), [(2016.5, True), (2016.0, False), (np.nan, False)])
 def test_rows_of_different_epochs_are_told(tmp_path, last, warned):
-    found = [s for s in link.warn(at(tmp_path, {"ref_epoch": [2016.0] * 5 + [last]})) if "ref_epoch" in s]
-    assert [s.partition(", and")[0] for s in found] == warned * ["file: ref_epoch is between 2016 and 2016.5"]
+    result = [s for s in link.warn(at(tmp_path, {"ref_epoch": [2016.0] * 5 + [last]})) if "ref_epoch" in s]
+    assert [s.partition(", and")[0] for s in result] == warned * ["file: ref_epoch is between 2016 and 2016.5"]

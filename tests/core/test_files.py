@@ -67,13 +67,13 @@ def problem(table, columns=None, **changes):
     return link.check(point(catalogue="file", file=table, n_obj=None, **changes)) or ""
 
 
-def is_the_four(found, errors=False):
-    np.testing.assert_allclose([found.ra, found.dec], np.array([RA, DEC]) * DEGREE, rtol=1e-14)
-    np.testing.assert_allclose([found.pmra, found.pmdec], np.array([PMRA, PMDEC]) * MAS, rtol=1e-14)
-    np.testing.assert_array_equal(found.v_mag, MAG)
-    assert (found.errors is not None) == errors
+def is_the_four(result, errors=False):
+    np.testing.assert_allclose([result.ra, result.dec], np.array([RA, DEC]) * DEGREE, rtol=1e-14)
+    np.testing.assert_allclose([result.pmra, result.pmdec], np.array([PMRA, PMDEC]) * MAS, rtol=1e-14)
+    np.testing.assert_array_equal(result.v_mag, MAG)
+    assert (result.errors is not None) == errors
     if errors:
-        np.testing.assert_allclose(found.errors.sigma.T, np.array(list(ERRORS.values())) * MAS, rtol=1e-14)
+        np.testing.assert_allclose(result.errors.sigma.T, np.array(list(ERRORS.values())) * MAS, rtol=1e-14)
     return True
 
 
@@ -95,10 +95,10 @@ def test_a_map_of_names_comes_first_and_only_positions_are_needed(write):
     np.testing.assert_array_equal(read(write(GAIA | {"other": 2 * MAG}), {"v_mag": "other"}).v_mag, 2 * MAG)
     for name in ("vt_mag", "Vmag", "Gmag", "VTmag"):
         np.testing.assert_array_equal(read(write({"ra": RA, "dec": DEC, name: MAG})).v_mag, MAG)
-    found = read(write({"ra": RA, "dec": DEC}))
-    assert np.all(np.isnan(found.v_mag))
-    assert not np.any([found.pmra, found.pmdec])
-    assert found.errors is None
+    result = read(write({"ra": RA, "dec": DEC}))
+    assert np.all(np.isnan(result.v_mag))
+    assert not np.any([result.pmra, result.pmdec])
+    assert result.errors is None
 
 
 def test_pmra_with_and_without_cos_dec(write):
@@ -130,8 +130,8 @@ def test_correlations_are_those_of_each_pair(write):
     for k, (i, j) in enumerate([*combinations(range(4), 2)][1:], start=1):
         expected[:, i, j] = expected[:, j, i] = 0.05 * k * np.array([1, -1, 2, 0])
         some[f"{NAMES[i]}_{NAMES[j]}_corr"] = expected[:, i, j]
-    found = read(write(GAIA | ERRORS | some)).errors.correlation
-    np.testing.assert_array_equal(found, expected)  # of the pair that is not there it is zero
+    result = read(write(GAIA | ERRORS | some)).errors.correlation
+    np.testing.assert_array_equal(result, expected)  # of the pair that is not there it is zero
     assert read(write(GAIA | ERRORS)).errors.correlation is None
 
 
@@ -162,11 +162,11 @@ def side(name, factor):
 def test_each_side_has_its_own_errors_or_those_of_both(there, write):
     columns = [side(name, FACTORS[name]) if name else ERRORS for name in there]
     table = write(GAIA | dict(ChainMap(*columns)))
-    found = read(table).take(np.array([2, 0]))
+    result = read(table).take(np.array([2, 0]))
     for name in ("reference", "satellite"):
         if name in there or "" in there:
             expected = FACTORS[name if name in there else ""] * np.array(list(ERRORS.values())).T[[2, 0]] * MAS
-            np.testing.assert_allclose(found.own_errors(name).sigma, expected, rtol=1e-14)
+            np.testing.assert_allclose(result.own_errors(name).sigma, expected, rtol=1e-14)
         else:
             asked = point(catalogue="file", file=table, n_obj=None) | {f"{name}_errors": "catalogue"}
             assert "has no errors of its own" in link.check(asked)
@@ -174,6 +174,6 @@ def test_each_side_has_its_own_errors_or_those_of_both(there, write):
 
 def test_correlations_are_those_of_their_side(write):
     table = write(GAIA | side("reference", 2.0) | ERRORS | {"reference_pmra_pmdec_corr": np.full(4, 0.5)})
-    found = read(table)
-    assert found.own_errors("satellite").correlation is None
-    assert np.all(found.own_errors("reference").correlation[:, 2, 3] == 0.5)
+    result = read(table)
+    assert result.own_errors("satellite").correlation is None
+    assert np.all(result.own_errors("reference").correlation[:, 2, 3] == 0.5)

@@ -154,12 +154,12 @@ def test_the_fields_are_the_gradients_of_scipys_harmonics():
     def harmonic(term, ra, dec):
         return sph_harm_y(term.degree, term.order, 0.5 * np.pi - dec, ra)
 
-    for found, term in zip(fields, (one for degree in range(1, 8) for one in terms("t", degree)), strict=True):
+    for result, term in zip(fields, (one for degree in range(1, 8) for one in terms("t", degree)), strict=True):
         by_dec = (harmonic(term, ra, dec + step) - harmonic(term, ra, dec - step)) / (2.0 * step)
         by_ra = (harmonic(term, ra + step, dec) - harmonic(term, ra - step, dec)) / (2.0 * step) / np.cos(dec)
         field = np.array([by_dec, -by_ra]) / np.sqrt(term.degree * (term.degree + 1))
         expected = {"": field.real, "re": 2.0 * field.real, "im": -2.0 * field.imag}[term.part]
-        np.testing.assert_allclose(found, expected, atol=2e-7, rtol=1e-6)
+        np.testing.assert_allclose(result, expected, atol=2e-7, rtol=1e-6)
     ra, dec = np.array([0.3, 0.3]), np.array([0.5 * np.pi, -0.5 * np.pi])  # the poles
     np.testing.assert_allclose(toroidal(4, ra, dec), toroidal(4, ra, dec * (1.0 - 1e-9)), atol=1e-7)
 

@@ -70,8 +70,8 @@ def test_a_curve_is_never_better_than_its_floor():
     later = [MISSIONS[f"gaia-{release}"].sigma_pm_mas_yr(bright) / (34 / n) ** 1.5 for release, n in MONTHS.items()]
     np.testing.assert_allclose(later, 0.048)
     for name, mission in MISSIONS.items():
-        held = mission.sigma_pm_mas_yr(np.linspace(-5.0, min(5.0, mission.floor.brighter_than_mag), 20))
-        assert held.min() >= mission.floor.pm_mas_yr, name
+        kept = mission.sigma_pm_mas_yr(np.linspace(-5.0, min(5.0, mission.floor.brighter_than_mag), 20))
+        assert kept.min() >= mission.floor.pm_mas_yr, name
         assert mission.sigma_pm_mas_yr(np.linspace(-5.0, 20.0, 251)).min() > 1e-3, name  # no uas/yr
 
 
@@ -86,8 +86,8 @@ def test_errors_are_pygaias_in_quadrature(release):
 
 @pytest.mark.parametrize(("name", "kind", "v_mag", "published", "ratio", "within"), PUBLISHED)
 def test_accuracies_that_are_published(name, kind, v_mag, published, ratio, within):
-    found = getattr(MISSIONS[name], f"sigma_{kind}")(np.array(v_mag))
-    assert found / published == pytest.approx(ratio, abs=within)
+    result = getattr(MISSIONS[name], f"sigma_{kind}")(np.array(v_mag))
+    assert result / published == pytest.approx(ratio, abs=within)
 
 
 @pytest.mark.slow
@@ -121,19 +121,19 @@ def identity(table):
 
 @pytest.mark.parametrize(("name", "table"), [("gaia-2001", GAIA_2001), ("amex", AMEX), ("gaia", GAIA)])
 def test_a_built_in_mission_written_out_is_the_same_to_the_last_bit(name, table):
-    own, built_in = mission(table), MISSIONS[name]
+    mine, built_in = mission(table), MISSIONS[name]
     for length in (None, 3.3):
-        np.testing.assert_array_equal(own.sigma_pm_mas_yr(V, length), built_in.sigma_pm_mas_yr(V, length))
-        np.testing.assert_array_equal(own.sigma_pos_mas(V, length), built_in.sigma_pos_mas(V, length))
-    assert (own.nominal_length_yr, own.faint_limit_mag) == (built_in.nominal_length_yr, built_in.faint_limit_mag)
+        np.testing.assert_array_equal(mine.sigma_pm_mas_yr(V, length), built_in.sigma_pm_mas_yr(V, length))
+        np.testing.assert_array_equal(mine.sigma_pos_mas(V, length), built_in.sigma_pos_mas(V, length))
+    assert (mine.nominal_length_yr, mine.faint_limit_mag) == (built_in.nominal_length_yr, built_in.faint_limit_mag)
 
 
 def test_a_table_is_log_linear_and_constant_on_the_bright_side():
-    own = mission(TABLE)
+    mine = mission(TABLE)
     expected = [0.1, 0.1, 0.2, 0.4, 0.4 * 8**0.4]  # 0.4 of the way from 13 to 18 mag, and of ln(3.2/0.4)
-    np.testing.assert_allclose(own.sigma_pm_mas_yr(np.array([4.0, 9.0, 11.0, 13.0, 15.0])), expected, rtol=1e-14)
-    np.testing.assert_allclose(own.sigma_pos_mas(V), 0.5 * own.sigma_pm_mas_yr(V), rtol=1e-14)
-    assert own.faint_limit_mag == 18.0
+    np.testing.assert_allclose(mine.sigma_pm_mas_yr(np.array([4.0, 9.0, 11.0, 13.0, 15.0])), expected, rtol=1e-14)
+    np.testing.assert_allclose(mine.sigma_pos_mas(V), 0.5 * mine.sigma_pm_mas_yr(V), rtol=1e-14)
+    assert mine.faint_limit_mag == 18.0
 
 
 def test_identity_is_what_decides_the_numbers():
@@ -155,8 +155,8 @@ def test_what_is_wrong_is_said_of_its_key(change, key, words):
     table = {key: value for key, value in (TABLE | change).items() if value is not None}
     with pytest.raises(DefinitionError) as caught:
         mission_from_table(table, load)
-    ((found, sentence),) = caught.value.problems
-    assert (found, words in sentence) == (key, True), sentence
+    ((result, sentence),) = caught.value.problems
+    assert (result, words in sentence) == (key, True), sentence
 
 
 def test_a_range_a_floor_and_a_function_of_ones_own():
@@ -224,16 +224,16 @@ def test_the_error_of_a_curve_is_that_of_its_constants(model):
 @pytest.mark.parametrize(("model", "count"), [("amex", 28), ("gaia", 13)])
 def test_the_constants_in_the_code_are_those_of_the_script(model, count):
     """As rounded, and within the uncertainty of the free fit: docs/calibration.md has the table."""
-    found = calibrate.calibration(model)
+    result = calibrate.calibration(model)
     assert MISSIONS[model].curve_pm_mas_yr == CALIBRATED[model].curve
-    for constant in found["constants"].values():
+    for constant in result["constants"].values():
         assert constant["in_code"] == pytest.approx(constant["chosen"], rel=0.005)
         assert abs(constant["in_code"] - constant["fitted"]) < 1.5 * constant["standard_error"]
-    assert found["in_code_distance2"] < 1.5 * len(found["constants"])  # in units of the covariance
-    assert CALIBRATED[model].log_covariance == pytest.approx(np.array(found["log_covariance"]), rel=0.02, abs=5e-5)
-    assert found["chi2"] < 1.5 * found["dof"]
-    assert len(found["residuals"]) == count
-    for row in found["residuals"]:
+    assert result["in_code_distance2"] < 1.5 * len(result["constants"])  # in units of the covariance
+    assert CALIBRATED[model].log_covariance == pytest.approx(np.array(result["log_covariance"]), rel=0.02, abs=5e-5)
+    assert result["chi2"] < 1.5 * result["dof"]
+    assert len(result["residuals"]) == count
+    for row in result["residuals"]:
         # 10 stars with halved errors: 7 to 8 % above the printed number whatever the constants, see docs/calibration.md
         assert abs(row["fitted"]) < (0.09 if (row["n_obj"], row["scale"]) == (10, 0.5) else 0.07)
 
@@ -244,20 +244,20 @@ def test_a_fit_finds_the_constants_that_made_the_numbers_with_errors_that_grow_w
     numbers = calibrate.published_numbers("gaia").head(len(skies["quasars"].counts))
     sigma, _ = calibrate.published_model(numbers, skies, calibrate.curve_of("gaia", truth))
     made = sigma * np.where(np.arange(len(sigma)) % 2, 1.0 / off, off)
-    found = calibrate.fit("gaia", numbers.assign(sigma=made, rounding=1e-9 if off == 1.0 else 0.05 * made), skies)
+    result = calibrate.fit("gaia", numbers.assign(sigma=made, rounding=1e-9 if off == 1.0 else 0.05 * made), skies)
     if off == 1.0:
-        np.testing.assert_allclose(found.constants, truth, rtol=1e-5)
-        assert found.chi2 < 1e-6 < np.diag(found.log_covariance).min()  # errors do not shrink with chi2
+        np.testing.assert_allclose(result.constants, truth, rtol=1e-5)
+        assert result.chi2 < 1e-6 < np.diag(result.log_covariance).min()  # errors do not shrink with chi2
         return
-    assert found.chi2 / found.dof > 10.0
+    assert result.chi2 / result.dof > 10.0
     _, ours = calibrate.published_model(numbers, skies, CALIBRATED["gaia"].curve)
-    np.testing.assert_allclose(found.relative_error**2, 0.05**2 / 3 + 1 / 60_000 + ours**2 + 0.03**2, rtol=1e-9)
+    np.testing.assert_allclose(result.relative_error**2, 0.05**2 / 3 + 1 / 60_000 + ours**2 + 0.03**2, rtol=1e-9)
 
     def misfit(log_constants):
         values, _ = calibrate.published_model(numbers, skies, calibrate.curve_of("gaia", np.exp(log_constants)))
-        return np.log(values / made) / found.relative_error
+        return np.log(values / made) / result.relative_error
 
-    at, step = np.log(found.constants), 1e-5
+    at, step = np.log(result.constants), 1e-5
     jacobian = np.stack([(misfit(at + d) - misfit(at - d)) / (2 * step) for d in step * np.eye(2)], axis=1)
-    expected = np.linalg.inv(jacobian.T @ jacobian) * found.chi2 / found.dof
-    np.testing.assert_allclose(found.log_covariance, expected, rtol=1e-3)
+    expected = np.linalg.inv(jacobian.T @ jacobian) * result.chi2 / result.dof
+    np.testing.assert_allclose(result.log_covariance, expected, rtol=1e-3)

@@ -51,24 +51,26 @@ def test_one_kind_of_observable_is_solved_alone(kind, weighting, side, method, c
     errors = {f"{side}_errors": "catalogue", f"{other}_errors": "none"}
     at = point(tmp_path, kind, correlated, weighting=weighting, method=method, **errors)
     assert points.link.check(at) is None
-    found, n_sim = results(at), 2000
+    result, n_sim = results(at), 2000
     expected = sandwich(weighting, correlated)
     (name, part), (name_beside, beside) = (SOLVED[kind], SOLVED[({*NAMES} - {kind}).pop()])
     sigma = np.sqrt(np.diag(expected))
-    np.testing.assert_allclose(found["sigma_predicted"][0, part], sigma, rtol=1e-9)
-    np.testing.assert_allclose(found[f"{name}_predicted"], np.sqrt(np.mean(sigma**2)), rtol=1e-9)
-    assert np.all(np.abs(found["sigma"][0, part] / sigma - 1.0) < 4.5 / np.sqrt(2 * n_sim))
+    np.testing.assert_allclose(result["sigma_predicted"][0, part], sigma, rtol=1e-9)
+    np.testing.assert_allclose(result[f"{name}_predicted"], np.sqrt(np.mean(sigma**2)), rtol=1e-9)
+    assert np.all(np.abs(result["sigma"][0, part] / sigma - 1.0) < 4.5 / np.sqrt(2 * n_sim))
     scatter = np.sqrt((np.outer(sigma, sigma) ** 2 + expected**2) / n_sim)
-    assert np.all(np.abs(found["covariance"][0, part, part] - expected) < 4.5 * scatter)
-    assert np.all(np.isnan([found["sigma"][0, beside], found["bias"][0, beside], found["bias_mc_error"][0, beside]]))
-    assert np.all(np.isnan([found[name_beside], found[f"{name_beside}_predicted"], found[f"{name_beside}_mc_error"]]))
-    assert found["dof"] == 2 * N_OBJ - 3
+    assert np.all(np.abs(result["covariance"][0, part, part] - expected) < 4.5 * scatter)
+    assert np.all(np.isnan([result["sigma"][0, beside], result["bias"][0, beside], result["bias_mc_error"][0, beside]]))
+    assert np.all(
+        np.isnan([result[name_beside], result[f"{name_beside}_predicted"], result[f"{name_beside}_mc_error"]])
+    )
+    assert result["dof"] == 2 * N_OBJ - 3
     if weighting == "inverse-variance":
         if not correlated:
             spread = np.sqrt(2.0 * (2 * N_OBJ - 3) / n_sim)
-            assert abs(found["chi2"][0] - (2 * N_OBJ - 3)) < 4.5 * spread
-            assert found["chi2_mc_error"][0] == pytest.approx(spread, rel=0.01)
-        assert found["condition_number"][0] == pytest.approx(solution(weighting).condition_number ** 2, rel=1e-9)
+            assert abs(result["chi2"][0] - (2 * N_OBJ - 3)) < 4.5 * spread
+            assert result["chi2_mc_error"][0] == pytest.approx(spread, rel=0.01)
+        assert result["condition_number"][0] == pytest.approx(solution(weighting).condition_number ** 2, rel=1e-9)
 
 
 @pytest.mark.parametrize("corrections", [True, False])
@@ -78,24 +80,24 @@ def test_the_orientation_that_turns_motions_is_taken_as_known(corrections, metho
     epsilon = np.array([3000.0, -8000.0, 5000.0])  # mas
     options = {"corrections": corrections, "method": method, "epsilon": tuple(epsilon), "omega": (0.0, 0.0, 0.0)}
     options |= {"satellite_errors": "catalogue", "reference_errors": "none"}
-    found = results(point(tmp_path, "motions", **options))
+    result = results(point(tmp_path, "motions", **options))
     turn = (np.cos(RA) * epsilon[0] + np.sin(RA) * epsilon[1]) / np.cos(DEC) * np.pi / 180.0 / 3600e3
     left_out = np.array([-MOTIONS[1] * turn, MOTIONS[0] * turn])
     bias = 0.0 if corrections else solution("inverse-variance", left_out).estimate
-    np.testing.assert_allclose(found["bias_predicted"][0, 3:], bias, atol=1e-5)  # of second order in epsilon
+    np.testing.assert_allclose(result["bias_predicted"][0, 3:], bias, atol=1e-5)  # of second order in epsilon
     assert corrections or np.abs(bias).max() > 1e-3
     sigma = np.sqrt(np.diag(sandwich("inverse-variance", correlated=False)))
-    np.testing.assert_allclose(found["sigma_predicted"][0, 3:], sigma, rtol=1e-9)
-    assert np.all(np.abs(found["bias"][0, 3:] - bias) < 4.5 * sigma / np.sqrt(2000.0))
+    np.testing.assert_allclose(result["sigma_predicted"][0, 3:], sigma, rtol=1e-9)
+    assert np.all(np.abs(result["bias"][0, 3:] - bias) < 4.5 * sigma / np.sqrt(2000.0))
 
 
 def test_a_glide_is_solved_for_with_motions_alone_and_refused_without(tmp_path):
     at = point(tmp_path, "motions", solve_glide=True, aberration=True)
     assert points.link.check(at) is None
-    found = results(at)
-    assert found["dof"] == 2 * N_OBJ - 6
-    assert np.isfinite(found["glide_sigma"]).all()
-    assert abs(found["chi2"][0] - (2 * N_OBJ - 6)) < 4.5 * np.sqrt(2.0 * (2 * N_OBJ - 6) / 2000.0)
+    result = results(at)
+    assert result["dof"] == 2 * N_OBJ - 6
+    assert np.isfinite(result["glide_sigma"]).all()
+    assert abs(result["chi2"][0] - (2 * N_OBJ - 6)) < 4.5 * np.sqrt(2.0 * (2 * N_OBJ - 6) / 2000.0)
     assert "not measured" in points.link.unused(point(tmp_path, "positions", solve_glide=True))["solve_glide"]
 
 

@@ -85,8 +85,8 @@ def test_equals_the_plain_loop(weighting, reference, n_obj, n_sim, corrections, 
     options = {"weighting": weighting, "corrections": corrections, "solve_glide": solve_glide}
     physics = physics_of(n_obj=n_obj, mean_pm=100.0, aberration=True, glide=GLIDE_UAS, **options, **reference)
     sums = run(physics, n_sim)
-    solutions, found = zip(*one_by_one(physics, n_sim), strict=True)
-    error, sigma = np.array(found) / MAS, solutions[0].formal_error / MAS
+    solutions, result = zip(*one_by_one(physics, n_sim), strict=True)
+    error, sigma = np.array(result) / MAS, solutions[0].formal_error / MAS
     near, products = 1e-9 * n_sim * sigma, error.T @ error
     kept = slice(0, error.shape[1])
     assert np.all(np.abs(sums["error"][kept] - error.sum(axis=0)) < near)
@@ -118,11 +118,11 @@ def test_equals_the_svd_of_each_realisation(seed, n_obj, sizes, polar, correlate
     sigma, correlation = random_covariances(n_obj, seed)
     motions = motion_mas * MAS * rng.standard_normal((2, n_obj))
     place = rng.uniform(-np.pi, 2.0 * np.pi, n_obj), np.where(rng.random(n_obj) < polar, near, np.arcsin(sin_dec))
-    own = OwnErrors(sigma_mas * MAS * sigma / 2.5, correlation if correlated else None)
-    objects = points.Catalogue(*place, *motions, np.zeros(n_obj), own)
+    ours = OwnErrors(sigma_mas * MAS * sigma / 2.5, correlation if correlated else None)
+    objects = points.Catalogue(*place, *motions, np.zeros(n_obj), ours)
     plain = physics_of(**options, aberration=options["solve_glide"])
-    own = {"reference_errors": CatalogueErrors(), "satellite_errors": CatalogueErrors(scale=0.7)}
-    physics = of_objects(objects, plain, **own)
+    ours = {"reference_errors": CatalogueErrors(), "satellite_errors": CatalogueErrors(scale=0.7)}
+    physics = of_objects(objects, plain, **ours)
     try:
         solutions, expected = zip(*one_by_one(physics, 3), strict=True)
     except LinkError as error:
@@ -205,10 +205,10 @@ def test_how_much_is_neglected(changes):
         true = np.stack([catalogue.ra, catalogue.dec, catalogue.pmra, catalogue.pmdec])
         seen = true + errors[0] / np.stack([np.cos(catalogue.dec), *np.ones((3, len(catalogue)))])
         options = {"corrections": setup.scenario.corrections, "glide": setup.scenario.solve_glide}
-        for rows, found in ((seen, whole), (true, fixed)):
+        for rows, result in ((seen, whole), (true, fixed)):
             a = design_matrix(*rows, **options)
             y = setup.differences.T + errors[0] - errors[1]
-            found.append(solve(a, y, setup.sigma.T, setup.scenario.weighting).estimate)
+            result.append(solve(a, y, setup.sigma.T, setup.scenario.weighting).estimate)
     rms = np.sqrt(np.mean((np.array(whole) - np.array(fixed)) ** 2, axis=0)) / sigma
     np.testing.assert_allclose(points.neglected(design), rms, rtol=0.8)  # both from few realisations
 

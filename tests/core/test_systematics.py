@@ -29,11 +29,11 @@ def solved(setup, differences=0.0):
 
 def kernel(errors, distance):
     """Correlation of either component along the great circle: d^l_11 as a Jacobi polynomial, from SciPy."""
-    x, found = np.cos(distance), 0.0
+    x, result = np.cos(distance), 0.0
     for degree, power in enumerate(errors.power, start=1):
         wigner = 0.5 * (1.0 + x) * eval_jacobi(degree - 1, 0, 2, x)
-        found = found + (2 * degree + 1) / (4.0 * np.pi) * power * wigner
-    return found
+        result = result + (2 * degree + 1) / (4.0 * np.pi) * power * wigner
+    return result
 
 
 def field_covariance(errors, catalogue):
@@ -57,8 +57,8 @@ def test_zonal_errors_are_correlated_by_distance_alone(length):
         normal = np.cross(r[:, a], r[:, b]) if a != b else p[:, a]
         across = normal / np.linalg.norm(normal)
         here, there = (np.array([np.cross(across, r[:, k]), across]) @ np.array([p[:, k], q[:, k]]).T for k in (a, b))
-        found = here @ covariance[:, a, :, b] @ there.T
-        np.testing.assert_allclose(found, kernel(errors, distance) * np.eye(2), atol=1e-12)
+        result = here @ covariance[:, a, :, b] @ there.T
+        np.testing.assert_allclose(result, kernel(errors, distance) * np.eye(2), atol=1e-12)
 
 
 def test_drawn_zonal_errors_have_that_covariance_and_are_normal():
@@ -87,8 +87,8 @@ def test_what_zonal_errors_do_to_the_link_is_predicted(satellite_errors):
     for part, sigma in ((slice(0, 2), 2.0 * MAS), (slice(2, 4), 0.7 * MAS)):
         flat = gain[:, part].reshape(6, -1)
         expected = expected + sigma**2 * flat @ covariance @ flat.T
-    found = points.design_of(setup).predicted_covariance()
-    assert np.all(np.abs(found - expected) < 1e-9 * np.sqrt(np.outer(np.diag(expected), np.diag(expected))))
+    result = points.design_of(setup).predicted_covariance()
+    assert np.all(np.abs(result - expected) < 1e-9 * np.sqrt(np.outer(np.diag(expected), np.diag(expected))))
 
 
 def test_the_leak_of_known_fields_is_predicted():
@@ -130,9 +130,9 @@ def test_leak_on_an_uneven_sky(zone_deg, contrast):
 @pytest.mark.parametrize("contrast", [0.0, 0.8])
 def test_solving_for_the_glide_leaves_no_leak_and_finds_minus_the_satellites(contrast):
     """Estimate and truth are reference - satellite: a glide of the satellite is a negative one."""
-    found = leaks(10, n_obj=50, sky_contrast=contrast, solve_glide=True)
-    np.testing.assert_allclose(found[:, :6], 0.0, atol=1e-9)
-    np.testing.assert_allclose(found[:, 6:] * np.linalg.norm(GLIDE), np.tile(-GLIDE, (10, 1)), rtol=1e-9)
+    result = leaks(10, n_obj=50, sky_contrast=contrast, solve_glide=True)
+    np.testing.assert_allclose(result[:, :6], 0.0, atol=1e-9)
+    np.testing.assert_allclose(result[:, 6:] * np.linalg.norm(GLIDE), np.tile(-GLIDE, (10, 1)), rtol=1e-9)
 
 
 def test_the_size_of_a_pattern_is_its_rms_over_the_sky():
@@ -173,21 +173,21 @@ def test_scales_multiply():
     satellite, reference = scenario(here).satellite_errors, scenario(here).reference_errors
     np.testing.assert_allclose(satellite.standard_errors(objects)[0, [0, 2]], np.array([10.0, 5.0]) * MAS, rtol=1e-14)
     np.testing.assert_allclose(reference.standard_errors(objects)[0, [0, 2]], np.array([42.0, 14.0]) * MAS, rtol=1e-14)
-    own = scenario(here | {"reference_errors": "catalogue"}).reference_errors
-    np.testing.assert_allclose(own.standard_errors(objects), 14.0 * objects.errors.sigma, rtol=1e-15)
-    assert own.correlation(objects) is objects.errors.correlation  # a scale does not correlate
+    ours = scenario(here | {"reference_errors": "catalogue"}).reference_errors
+    np.testing.assert_allclose(ours.standard_errors(objects), 14.0 * objects.errors.sigma, rtol=1e-15)
+    assert ours.correlation(objects) is objects.errors.correlation  # a scale does not correlate
     with pytest.raises(ValueError, match="has no errors of its own"):
-        own.standard_errors(points.drawn(1, n_obj=3))
+        ours.standard_errors(points.drawn(1, n_obj=3))
 
 
 def test_a_floor_dilutes_the_correlations_of_an_object():
     objects = with_own_errors(9)
     errors = scenario(point(satellite_errors="catalogue", satellite_floor_pos=1.0, satellite_floor_pm=2.0))
     total = errors.satellite_errors.standard_errors(objects)
-    found = errors.satellite_errors.correlation(objects) * total[:, :, None] * total[:, None, :]
+    result = errors.satellite_errors.correlation(objects) * total[:, :, None] * total[:, None, :]
     sigma, correlation = objects.errors
     expected = correlation * sigma[:, :, None] * sigma[:, None, :] + np.diag([1.0, 1.0, 4.0, 4.0]) * MAS**2
-    np.testing.assert_allclose(found, expected, rtol=1e-12)
+    np.testing.assert_allclose(result, expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("reference_errors", ["none", "normal"])
@@ -204,9 +204,9 @@ def test_underestimated_errors_scatter_more_with_the_same_weights(weighting, ref
 def test_one_side_underestimated_is_predicted():
     """The sandwich G Sigma G' with the true Sigma, and its Monte Carlo."""
     honest, n_sim = point(n_obj=60, **FLAT), 1000
-    found = points.evaluated(n_sim, honest | {"satellite_error_ratio": 3.0})
-    ratio = found["predicted_variance"][:, :6] / n_sim / points.evaluated(1, honest)["predicted_variance"][:, :6]
+    result = points.evaluated(n_sim, honest | {"satellite_error_ratio": 3.0})
+    ratio = result["predicted_variance"][:, :6] / n_sim / points.evaluated(1, honest)["predicted_variance"][:, :6]
     np.testing.assert_allclose(ratio, 5.0, rtol=1e-9)  # (9 + 1)/(1 + 1)
-    squares = n_sim * np.einsum("pii->pi", found["error_products"]) / found["predicted_variance"][:, :6]
+    squares = n_sim * np.einsum("pii->pi", result["error_products"]) / result["predicted_variance"][:, :6]
     assert stats.chi2(n_sim).sf(squares).min() > 1e-4
     assert stats.chi2(n_sim).cdf(squares).min() > 1e-4

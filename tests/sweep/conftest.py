@@ -86,8 +86,8 @@ def reference(tmp_path_factory):
 @pytest.fixture(scope="session")
 def store_of(tmp_path_factory, worker_id):
     """A function that returns the store of a built-in study, run with fewer realisations, once for all workers."""
-    own = tmp_path_factory.getbasetemp()
-    folder = (own if worker_id == "master" else own.parent) / "stores"
+    ours = tmp_path_factory.getbasetemp()
+    folder = (ours if worker_id == "master" else ours.parent) / "stores"
     folder.mkdir(exist_ok=True)
 
     def run(name):

@@ -50,9 +50,9 @@ def bytes_flipped(text: str, chance: random.Random) -> str:
 
 
 def replaced(text: str, chance: random.Random, pattern: str, change: Callable[[str], str], group: int = 0) -> str:
-    found = chance.choice(list(re.finditer(pattern, text)))
-    start, stop = found.span(group)
-    return text[:start] + change(found[group]) + text[stop:]
+    result = chance.choice(list(re.finditer(pattern, text)))
+    start, stop = result.span(group)
+    return text[:start] + change(result[group]) + text[stop:]
 
 
 def value_changed(text: str, chance: random.Random) -> str:

@@ -127,8 +127,8 @@ def until_done(left, steps, call, between=lambda: None):
 
 def existing_store(where, study):
     study = study_from_dict(study) if isinstance(study, dict) else study
-    found = find_store(where, study)
-    return None if found is None else open_store(found, study)
+    actual = find_store(where, study)
+    return None if actual is None else open_store(actual, study)
 
 
 def create_or_resume(where, document):

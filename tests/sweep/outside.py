@@ -65,8 +65,8 @@ def address_in(file: Path) -> str | None:
 def wait_until(true, what, seconds=PATIENCE_S):
     deadline = time.monotonic() + seconds
     while time.monotonic() < deadline:
-        if found := true():
-            return found
+        if result := true():
+            return result
         time.sleep(0.05)
     raise AssertionError(f"waited {seconds} s for {what}")
 
@@ -79,8 +79,8 @@ def below(pid):
 
 def workers_below(pid):
     """Return the worker processes of a run: copies of its process, and those that Dask's nannies started."""
-    own = command_of(pid)
-    return [child for child in sorted(below(pid)) if command_of(child) == own or "spawn_main" in command_of(child)]
+    ours = command_of(pid)
+    return [child for child in sorted(below(pid)) if command_of(child) == ours or "spawn_main" in command_of(child)]
 
 
 def _connections(pids, kind):

@@ -77,10 +77,10 @@ def test_the_law_through_points_that_share_random_numbers(shared):
 
 def test_comparisons_with_claims(shared):
     dataset, dof = shared
-    found = compare(dataset)
+    result = compare(dataset)
     for quantity in ("slope of width over x", "width(x=3) / width(x=2)"):
-        assert_covers([c.difference / c.mc_error for c in found if c.quantity == quantity], dof)
-    assert sum(c.quantity.startswith("slope") for c in found) == COPIES
+        assert_covers([c.difference / c.mc_error for c in result if c.quantity == quantity], dof)
+    assert sum(c.quantity.startswith("slope") for c in result) == COPIES
 
 
 def test_crossings_and_interpolations(shared):
@@ -88,11 +88,11 @@ def test_crossings_and_interpolations(shared):
     if dataset.attrs["n_cat"] == 1:
         pytest.skip("where one catalogue crosses depends on the catalogue")
     threshold = float(true_width(dataset, 4.0))
-    found = find(dataset, parse_limit(f"width < {threshold!r} mas"), "x")
-    crossed = found["crossings"].values == 1
+    result = find(dataset, parse_limit(f"width < {threshold!r} mas"), "x")
+    crossed = result["crossings"].values == 1
     assert crossed.mean() > 0.8
     if crossed.all():
-        assert_covers(((np.log(found["first"]) - np.log(4.0)) / (found["first_error"] / found["first"])), dof)
+        assert_covers(((np.log(result["first"]) - np.log(4.0)) / (result["first_error"] / result["first"])), dof)
     between = interpolate(dataset, "width", "x", 4.0)
     relative = between["width_mc_error"] / between["width"]
     assert_covers((np.log(between["width"]) - np.log(threshold)) / relative, dof)
@@ -109,19 +109,19 @@ def test_the_diagonal_of_the_covariance_is_the_whole_error(shared):
 
 def test_levelling_of_points_that_share_random_numbers():
     dataset = copies_of("levelling", 40, 600).isel(copy=slice(200))
-    found = fit_levelling(dataset, "width", "x", fall=0.05)
+    result = fit_levelling(dataset, "width", "x", fall=0.05)
     for name, value in (("rate", 0.6), ("plateau", np.sqrt(spread.MEAN_SQUARE))):
-        good = np.isfinite(found[name].values) & (found[f"{name}_error"].values < 0.5 * value)
+        good = np.isfinite(result[name].values) & (result[f"{name}_error"].values < 0.5 * value)
         assert good.mean() > 0.95
-        assert_covers(((found[name] - value) / found[f"{name}_error"]).values[good], dof=39)
+        assert_covers(((result[name] - value) / result[f"{name}_error"]).values[good], dof=39)
 
 
 @pytest.mark.parametrize("repetitions", [9, 20])
 def test_the_medians_of_repeated_timings(repetitions):
     rng = np.random.default_rng(8)
     seconds = 10.0 + rng.standard_normal((500, 2, 1, repetitions, 2))
-    found = [_dataset(np.array([1]), timed).sel(kind="strong") for timed in seconds]
-    pulls = [((each["seconds"] - 10.0) / each["seconds_error"]).item() for each in found]
+    result = [_dataset(np.array([1]), timed).sel(kind="strong") for timed in seconds]
+    pulls = [((each["seconds"] - 10.0) / each["seconds_error"]).item() for each in result]
     assert_covers(pulls, repetitions - 1)
     of_mean = seconds[0, 0, 0, :, 0].var(ddof=1) / repetitions * (repetitions - 1) / (repetitions - 3)
-    assert found[0]["seconds_error"].item() == pytest.approx(np.sqrt(np.pi / 2.0 * of_mean))
+    assert result[0]["seconds_error"].item() == pytest.approx(np.sqrt(np.pi / 2.0 * of_mean))

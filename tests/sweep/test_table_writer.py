@@ -94,7 +94,7 @@ def test_the_whole_meaning_is_kept(meaning):
 
 def test_a_prefix_is_one_that_reads_well_or_none():
     for values, unit, chosen in WELL:
-        found = prefixed(np.array(values), unit)
-        assert (found.unit, found.factor) == (chosen, pytest.approx(units.Unit(unit).to(chosen), rel=1e-12))
+        result = prefixed(np.array(values), unit)
+        assert (result.unit, result.factor) == (chosen, pytest.approx(units.Unit(unit).to(chosen), rel=1e-12))
     for value, unit in STAYING:
         assert prefixed(value, unit) == (unit, 1.0)

@@ -55,16 +55,16 @@ def made(used, years, unknowns, n=30):
 
 
 def test_five_parameters_at_the_same_epoch():
-    found = solve(source_sums(made(slice(0, 5), 0.0, "orientation,spin,parallax"))).estimate / MAS
-    np.testing.assert_allclose(found[:3], EPSILON / MAS, atol=2e-4)
-    np.testing.assert_allclose(found[3:6], OMEGA / MAS, atol=2e-6)
-    assert found[6] == pytest.approx(0.04, abs=1e-5)
+    result = solve(source_sums(made(slice(0, 5), 0.0, "orientation,spin,parallax"))).estimate / MAS
+    np.testing.assert_allclose(result[:3], EPSILON / MAS, atol=2e-4)
+    np.testing.assert_allclose(result[3:6], OMEGA / MAS, atol=2e-6)
+    assert result[6] == pytest.approx(0.04, abs=1e-5)
 
 
 @pytest.mark.parametrize("years", [-12.3, 8.9])
 def test_positions_of_single_epochs(years):
-    found = solve(source_sums(made(slice(0, 2), years, "orientation"))).estimate / MAS
-    np.testing.assert_allclose(found, (EPSILON + OMEGA * years) / MAS, atol=0.05)
+    result = solve(source_sums(made(slice(0, 2), years, "orientation"))).estimate / MAS
+    np.testing.assert_allclose(result, (EPSILON + OMEGA * years) / MAS, atol=0.05)
 
 
 def test_the_motion_is_astropys():
@@ -105,19 +105,19 @@ def test_motions_are_the_derivatives_of_positions(years):
 def test_it_is_the_least_squares_of_all_tables_with_the_parameters_of_every_star():
     """No table is before another: unknowns are also five parameters of every star in the reference's frame."""
     problem = missions()
-    own, rows, n = problem.satellite, problem.rows, len(problem.satellite)
-    found = differences(own, rows, problem.source)
-    single = parse_unknowns("orientation,spin").matrix(*problem.objects(own))  # of each star; (n, 5, 6)
+    mine, rows, n = problem.satellite, problem.rows, len(problem.satellite)
+    result = differences(mine, rows, problem.source)
+    single = parse_unknowns("orientation,spin").matrix(*problem.objects(mine))  # of each star; (n, 5, 6)
     design = np.zeros((n + len(rows), 5, 5 * n + 12))
     for i in range(n):
         design[i, :, 5 * i : 5 * i + 5] = np.eye(5)
     design[:n, :, 5 * n : 5 * n + 6] = -single  # a mission sees the star minus what its frame adds
     for r, i in enumerate(problem.source):
-        design[n + r, :, 5 * i : 5 * i + 5] = found.partials[r]
+        design[n + r, :, 5 * i : 5 * i + 5] = result.partials[r]
         if rows.frame[r]:
-            design[n + r, :, 5 * n + 6 :] = -found.partials[r] @ single[i]
-    half = np.linalg.inv(np.linalg.cholesky(block_diag(*own.covariance(), *found.covariance) / MAS**2))
-    right = np.concatenate([np.zeros(5 * n), *found.values])
+            design[n + r, :, 5 * n + 6 :] = -result.partials[r] @ single[i]
+    half = np.linalg.inv(np.linalg.cholesky(block_diag(*mine.covariance(), *result.covariance) / MAS**2))
+    right = np.concatenate([np.zeros(5 * n), *result.values])
     a, y = half @ np.concatenate(design), half @ right / MAS
     x, *_ = lstsq(a, y)
     covariance = np.linalg.inv(a.T @ a)[5 * n :, 5 * n :] * MAS**2
@@ -149,6 +149,6 @@ def test_leaving_out_what_determines_an_unknown_is_found_among_many():
     normal, right = sums.normal.sum(axis=0), sums.right.sum(axis=0)
     alone = sums.taken(np.arange(3))
     alone.normal[1], alone.right[1] = normal, right
-    found = leave_one_out(alone, normal, right)
-    assert np.isnan(found).all(axis=1).tolist() == [False, True, False]
-    np.testing.assert_array_equal(found[[0, 2]], leave_one_out(sums.taken(np.array([0, 2])), normal, right))
+    result = leave_one_out(alone, normal, right)
+    assert np.isnan(result).all(axis=1).tolist() == [False, True, False]
+    np.testing.assert_array_equal(result[[0, 2]], leave_one_out(sums.taken(np.array([0, 2])), normal, right))

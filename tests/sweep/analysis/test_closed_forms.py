@@ -24,8 +24,8 @@ def results(x, y, errors=None, covariance=None, samples=None, name="n", **attrib
     if errors is not None:
         variables["width_mc_error"] = name, np.asarray(errors, dtype=float)
     if covariance is not None:
-        told = {} if samples is None else {"samples": samples}
-        variables[f"width_mc_covariance_{name}"] = (name, f"{name}_other"), covariance, told
+        report = {} if samples is None else {"samples": samples}
+        variables[f"width_mc_covariance_{name}"] = (name, f"{name}_other"), covariance, report
     coords = {axis: np.asarray(x, dtype=float) for axis in variables.get(f"width_mc_covariance_{name}", [[name]])[0]}
     return xr.Dataset(variables, coords, {"title": "Widths", **attributes})
 
@@ -59,27 +59,27 @@ def best(x, y, covariance, samples):
 @given(seeds, st.sampled_from([None, 20, 100]))
 def test_a_power_law_through_correlated_points(seed, samples):
     _, x, y, _, covariance = drawn(seed)
-    found = linksweep.fit_power_law(results(x, y, covariance=covariance, samples=samples), "width", "n")
+    result = linksweep.fit_power_law(results(x, y, covariance=covariance, samples=samples), "width", "n")
     law, spread = best(x, y, covariance, samples)
-    at_pivot = np.array([1.0, np.log(found["pivot"].item())])
+    at_pivot = np.array([1.0, np.log(result["pivot"].item())])
     height, tilt = np.sqrt(at_pivot @ spread @ at_pivot), np.sqrt(spread[1, 1])
     together = at_pivot @ spread[:, 1] / (height * tilt)
     wanted = {"exponent": law[1], "exponent_error": tilt, "amplitude": np.exp(at_pivot @ law), "correlation": together}
     wanted["amplitude_error"] = height * wanted["amplitude"]
-    assert {name: found[name].item() for name in wanted} == pytest.approx(wanted, rel=1e-6, abs=1e-6)
+    assert {name: result[name].item() for name in wanted} == pytest.approx(wanted, rel=1e-6, abs=1e-6)
     relative = covariance / np.outer(y, y)
     free = null_space(np.stack([np.ones_like(x), np.log(x)]))  # what no power law explains
     rest = free.T @ np.log(y)
     chi2 = rest @ np.linalg.solve(free.T @ relative @ free, rest)
     dof = len(x) - 2
-    assert found["dof"].item() == dof
-    if np.isnan(found["chi2"].item()):
+    assert result["dof"].item() == dof
+    if np.isnan(result["chi2"].item()):
         assert samples is not None  # the covariance is of first order, and too much of the errors is shared
         return
-    assert found["chi2"].item() == pytest.approx(chi2, rel=1e-6)
+    assert result["chi2"].item() == pytest.approx(chi2, rel=1e-6)
     scaled = chi2 if samples is None else chi2 * (samples - dof) / (dof * (samples - 1))
     tail = chi2_law(dof) if samples is None else f_law(dof, samples - dof)
-    assert found["p_value"].item() == pytest.approx(tail.sf(scaled), rel=1e-6)
+    assert result["p_value"].item() == pytest.approx(tail.sf(scaled), rel=1e-6)
 
 
 @settings(max_examples=1)
@@ -106,13 +106,13 @@ def test_the_band_of_a_drawn_law_is_that_of_its_errors(seed, samples):
 @given(seeds)
 def test_a_power_law_through_points_without_errors_is_a_linear_regression(seed):
     _, x, y, _, _ = drawn(seed)
-    found = linksweep.fit_power_law(results(x, y), "width", "n")
+    result = linksweep.fit_power_law(results(x, y), "width", "n")
     theirs = linregress(np.log(x), np.log(y))
-    assert found["exponent"].item() == pytest.approx(theirs.slope, rel=1e-9)
-    assert found["exponent_error"].item() == pytest.approx(theirs.stderr, rel=1e-7)
+    assert result["exponent"].item() == pytest.approx(theirs.slope, rel=1e-9)
+    assert result["exponent_error"].item() == pytest.approx(theirs.stderr, rel=1e-7)
     scatter = np.sum((np.log(y) - theirs.intercept - theirs.slope * np.log(x)) ** 2) / (len(x) - 2)
-    assert found["amplitude_error"].item() / found["amplitude"].item() == pytest.approx(np.sqrt(scatter / len(x)))
-    assert np.isnan(found["chi2"].item())
+    assert result["amplitude_error"].item() / result["amplitude"].item() == pytest.approx(np.sqrt(scatter / len(x)))
+    assert np.isnan(result["chi2"].item())
     assert linksweep.fit_power_law(results(x[:2], y[:2]), "width", "n")["exponent_error"].item() == 0.0  # no scatter
 
 
@@ -146,7 +146,7 @@ def derived(x, fall, plateau, size, rate):
 def test_the_levelling_law_is_that_of_scipy_with_its_errors(seed, quality):
     x, y, relative, truth = levelled(seed, quality)
     fall = 0.2 * truth[2]
-    found = linksweep.fit_levelling(results(x, y, relative * y), "width", "n", fall=fall)
+    result = linksweep.fit_levelling(results(x, y, relative * y), "width", "n", fall=fall)
     options = {"p0": truth, "sigma": relative, "absolute_sigma": True, "xtol": 1e-14, "ftol": 1e-14}
     law, spread = curve_fit(lambda at, *law: np.log(level(at, *law)), x, np.log(y), **options)
     # else it falls by less everywhere, or the best law has no plateau, which a root of a square cannot say
@@ -154,21 +154,21 @@ def test_the_levelling_law_is_that_of_scipy_with_its_errors(seed, quality):
     chi2 = float(np.sum(((np.log(y) - np.log(level(x, *law))) / relative) ** 2))
     dof = len(x) - 3
     spread = spread * max(1.0, chi2 / dof)
-    assert found["chi2"].item() == pytest.approx(chi2, rel=1e-4)
-    assert (found["dof"].item(), found["points"].item()) == (dof, len(x))
-    assert found["p_value"].item() == pytest.approx(chi2_law(dof).sf(chi2), rel=1e-3, abs=1e-12)
+    assert result["chi2"].item() == pytest.approx(chi2, rel=1e-4)
+    assert (result["dof"].item(), result["points"].item()) == (dof, len(x))
+    assert result["p_value"].item() == pytest.approx(chi2_law(dof).sf(chi2), rel=1e-3, abs=1e-12)
     of_law = {"plateau": lambda at: abs(at[0]), "rate": lambda at: at[2]}
     of_law |= {n: lambda at, k=k: derived(x, fall, *at)[k] for k, n in enumerate(("end_fall", "limit"))}
     for name, function in of_law.items():
         value, error = function(law), delta(function, law, spread, 1e-5)
-        assert found[name].item() == pytest.approx(value, abs=0.01 * error), name
-        assert found[f"{name}_error"].item() == pytest.approx(error, rel=0.02), name
+        assert result[name].item() == pytest.approx(value, abs=0.01 * error), name
+        assert result[f"{name}_error"].item() == pytest.approx(error, rel=0.02), name
     without = linksweep.fit_levelling(results(x, y), "width", "n", fall=fall)  # errors come from the scatter
     scatter = curve_fit(lambda at, *law: np.log(level(at, *law)), x, np.log(y), p0=law)[1]
     assert without["rate_error"].item() == pytest.approx(np.sqrt(scatter[2, 2]), rel=0.02)
     of_samples = results(x, y, covariance=np.diag((relative * y) ** 2), samples=20)
     of_samples = linksweep.fit_levelling(of_samples, "width", "n", fall=fall)
-    assert of_samples["rate_error"].item() == pytest.approx(found["rate_error"].item() * np.sqrt(factor(20)), rel=1e-3)
+    assert of_samples["rate_error"].item() == pytest.approx(result["rate_error"].item() * np.sqrt(factor(20)), rel=1e-3)
 
 
 @settings(max_examples=examples(25))
@@ -178,11 +178,11 @@ def test_a_law_too_slow_for_the_fall_falls_by_less_everywhere(seed, times):
     x, _, relative, truth = levelled(seed)
     y = level(x, *truth)
     for fall, meets in ((-np.expm1(-0.5 * times * truth[2]), False), (-np.expm1(-0.5 / times * truth[2]), True)):
-        found = linksweep.fit_levelling(results(x, y, relative * y), "width", "n", fall=fall)
+        result = linksweep.fit_levelling(results(x, y, relative * y), "width", "n", fall=fall)
         if meets:
-            assert found["limit"].item() == pytest.approx(derived(x, fall, *truth)[1], rel=1e-3)
+            assert result["limit"].item() == pytest.approx(derived(x, fall, *truth)[1], rel=1e-3)
         else:
-            assert (found["limit"].item(), found["conclusion"].item()) == (-np.inf, "falls by less everywhere")
+            assert (result["limit"].item(), result["conclusion"].item()) == (-np.inf, "falls by less everywhere")
     rising = linksweep.fit_levelling(results(x, y[::-1], relative * y), "width", "n")
     assert np.isnan(rising["plateau"].item())  # which is before the points, not beyond them
 
@@ -209,10 +209,10 @@ def test_a_value_between_points_and_the_place_of_a_value(seed, share, shared, sa
     def between(values):
         return np.exp(np.interp(to(at), to(x), np.log(values)))
 
-    found = linksweep.interpolate(dataset, "width", over="n", at=at)
-    assert found["width"].item() == pytest.approx(between(y), rel=1e-9)
+    result = linksweep.interpolate(dataset, "width", over="n", at=at)
+    assert result["width"].item() == pytest.approx(between(y), rel=1e-9)
     wanted = delta(between, y, spread) * np.sqrt(more)
-    assert found["width_mc_error"].item() == pytest.approx(wanted, rel=1e-5, nan_ok=True)
+    assert result["width_mc_error"].item() == pytest.approx(wanted, rel=1e-5, nan_ok=True)
     nearest = linksweep.find(dataset, f"width < {0.5 * float(y[0])!r}", over="n")["nearest_error"].item()
     assert nearest == pytest.approx(np.sqrt(spread[0, 0] * more), nan_ok=True)
     limit = float(np.exp(np.interp(share, [0.0, 1.0], np.log(y[[0, -1]]))))
@@ -247,14 +247,14 @@ def test_first_last_and_number_of_crossings(seed):
     magnitudes = "v", np.arange(1.0, 13.0), {"units": "mag"}
     dataset = results(magnitudes[1], y, name="v").assign_coords(v=magnitudes)
     shuffled = dataset.isel(v=rng.permutation(12))  # rows of a store are in any order
-    found = linksweep.find(shuffled, "width > 0", over="v")
+    result = linksweep.find(shuffled, "width > 0", over="v")
     flips = [i for i in range(11) if (y[i] > 0.0) != (y[i + 1] > 0.0)]
-    assert found["crossings"].item() == len(flips)
+    assert result["crossings"].item() == len(flips)
     if flips:
         places = [1.0 + i + y[i] / (y[i] - y[i + 1]) for i in (flips[0], flips[-1])]
-        assert [found["first"].item(), found["last"].item()] == pytest.approx(places)
+        assert [result["first"].item(), result["last"].item()] == pytest.approx(places)
     else:
-        assert found["nearest"].item() == (y.max() if y[0] <= 0.0 else y.min())
+        assert result["nearest"].item() == (y.max() if y[0] <= 0.0 else y.min())
 
 
 @several
@@ -265,10 +265,10 @@ def test_a_ratio_of_two_points(seed, samples):
     more = 1.0 if samples is None else factor(samples)
     far = results(x, 2.0**900 * y, 2.0**900 * errors), np.diag(errors**2)
     for dataset, spread in (far, (whole, covariance * more)):
-        found = linksweep.ratio(dataset, "width", "n", of=x[0], to=x[-1])
-        assert found["ratio"].item() == pytest.approx(y[0] / y[-1], rel=1e-12)
+        result = linksweep.ratio(dataset, "width", "n", of=x[0], to=x[-1])
+        assert result["ratio"].item() == pytest.approx(y[0] / y[-1], rel=1e-12)
         wanted = delta(lambda values: values[0] / values[-1], y, spread)
-        assert found["ratio_error"].item() == pytest.approx(wanted, rel=1e-5)
+        assert result["ratio_error"].item() == pytest.approx(wanted, rel=1e-5)
         assert linksweep.ratio(dataset, "width", "n", of=x[0], to=x[0])["ratio_error"].item() == 0.0
 
 
@@ -299,8 +299,8 @@ def table(columns, y):
 
 
 def as_design(made, **ranges):
-    told = {"parameters": list(ranges), "design": "sobol", "n": made.sizes["point"], "ranges": ranges}
-    return made.assign_attrs(point_table=json.dumps(told))
+    report = {"parameters": list(ranges), "design": "sobol", "n": made.sizes["point"], "ranges": ranges}
+    return made.assign_attrs(point_table=json.dumps(report))
 
 
 @several
@@ -312,9 +312,9 @@ def test_a_function_of_the_ranks_alone_is_all_that_decides(seed, waves, n):
     ranks = np.array([(np.sum(x < one) + 0.5 * np.sum(x == one)) / n for one in x])
     for column, place, ranges in ((x, ranks, None), (k, (k - 0.5) / 40.0, {"x": [1, 40], "other": [0, 1]})):
         made = table({"x": column, "other": rng.random(n)}, np.cos(np.pi * waves * place))
-        found = linksweep.sensitivity(as_design(made, **ranges) if ranges else made)
-        assert found["first"].values[0] == pytest.approx(1.0, abs=1e-9)
-        assert found["first"].values[1] < 0.9
+        result = linksweep.sensitivity(as_design(made, **ranges) if ranges else made)
+        assert result["first"].values[0] == pytest.approx(1.0, abs=1e-9)
+        assert result["first"].values[1] < 0.9
 
 
 @several
@@ -324,15 +324,15 @@ def test_groups_explain_the_adjusted_share(seed, groups, n):
     kind = np.concatenate([np.arange(groups), rng.integers(0, groups, n - groups)])
     y = kind + rng.standard_normal(n)
     names = np.array([f"k{k}" for k in kind])
-    found = linksweep.sensitivity(table({"kind": names, "x": rng.random(n)}, y))
+    result = linksweep.sensitivity(table({"kind": names, "x": rng.random(n)}, y))
     inside = sum(np.sum((y[kind == k] - y[kind == k].mean()) ** 2) for k in range(groups))
     share = 1.0 - inside / np.sum((y - y.mean()) ** 2) * (n - 1) / (n - groups)
-    assert found["first"].values[0] == pytest.approx(share, abs=1e-9)
+    assert result["first"].values[0] == pytest.approx(share, abs=1e-9)
     even = as_design(table({"kind": names, "x": rng.random(n)}, y), kind={"values": ["a"]}, x=[0, 1])
     chance = inside / np.sum((y - y.mean()) ** 2) * (groups - 1) / (n - groups)
     spread = linksweep.sensitivity(even)
     assert spread["first"].values[0] == pytest.approx(share + 0.5 * chance, abs=1e-9)
-    squares = spread["first_error"].values[0] ** 2 - found["first_error"].values[0] ** 2
+    squares = spread["first_error"].values[0] ** 2 - result["first_error"].values[0] ** 2
     assert squares == pytest.approx((0.5 * chance) ** 2, rel=1e-6, abs=1e-12)
 
 
@@ -345,7 +345,7 @@ def test_indices_of_a_grid_without_the_part_of_the_noise(seed, sizes):
     axes = dict(zip("abc", map(np.arange, sizes), strict=True))
     variables = {"y": (tuple(axes), values, {"headline": 1}), "y_mc_error": (tuple(axes), errors)}
     variables["status"] = tuple(axes), np.full(sizes, DONE, np.int8)
-    found = linksweep.sensitivity(xr.Dataset(variables, axes, {"title": "", "function": "f"}))
+    result = linksweep.sensitivity(xr.Dataset(variables, axes, {"title": "", "function": "f"}))
 
     def variance(kept):
         others = tuple(k for k in range(3) if k not in kept)
@@ -355,9 +355,9 @@ def test_indices_of_a_grid_without_the_part_of_the_noise(seed, sizes):
 
     whole = variance((0, 1, 2))
     if whole <= 0.0:
-        assert np.isnan(found["first"].values).all()
+        assert np.isnan(result["first"].values).all()
         return
-    assert found["first"].values == pytest.approx([variance((k,)) / whole for k in range(3)], abs=1e-9)
+    assert result["first"].values == pytest.approx([variance((k,)) / whole for k in range(3)], abs=1e-9)
     rest = [variance(tuple(j for j in range(3) if j != k)) for k in range(3)]
-    assert found["total"].values == pytest.approx([1.0 - one / whole for one in rest], abs=1e-9)
-    assert not np.any(found["first_error"].values <= 0.0)  # NaN where noise hides the variance in some draws
+    assert result["total"].values == pytest.approx([1.0 - one / whole for one in rest], abs=1e-9)
+    assert not np.any(result["first_error"].values <= 0.0)  # NaN where noise hides the variance in some draws

@@ -77,15 +77,15 @@ def only(dataset):
 def test_verdict(value, error, text, keys, verdict, reason):
     """Of a claim and of a number in a table; the power is the deviation that is found in nineteen of twenty."""
     reading = {"variable": "width", "at": {"model": "new", "n": 50.0}}
-    found = [only(grid(value, error, claims=[claim(published=text, value=reading, **keys)]))]
+    actual = [only(grid(value, error, claims=[claim(published=text, value=reading, **keys)]))]
     if not keys.keys() - WIDE.keys():
-        found.append(only(grid(value, error, published={(1, 2): text}, printed=keys)))
-        named = found[1].study, found[1].what, found[1].source, found[1].unit
+        actual.append(only(grid(value, error, published={(1, 2): text}, printed=keys)))
+        named = actual[1].study, actual[1].what, actual[1].source, actual[1].unit
         assert named == ("made-up", "width", "A paper", "mas")
     rounding, number = 0.5 * 10.0 ** Decimal(text).as_tuple().exponent, float(text)
     detectable = rounding + keys.get("tolerance", 0.0) * abs(number) + (3.0 + norm.ppf(0.95)) * error
     is_judged = np.isfinite(value) and "not_comparable" not in keys
-    for one in found:
+    for one in actual:
         assert (one.verdict, one.where, one.published) == (verdict, {"model": "new", "n": 50.0}, number)
         assert reason in one.reason if reason else one.reason == ""
         numbers = one.allowance, one.difference, one.power
@@ -135,22 +135,22 @@ def test_a_point_that_is_not_done_is_incomplete_and_not_left_out():
         status = np.full((2, len(N)), DONE, np.int8)
         status[0, 1] = code
         value = np.where(status == DONE, 0.6, np.nan)
-        found = compare(grid(value, 0.001, status=status, published={(0, 0): "0.60", (0, 1): "0.60", (1, 1): "0.7"}))
-        assert [c.verdict for c in found] == ["reproduced", "incomplete", "NOT reproduced"]
-        assert (reason in found[1].reason, verdicts.all_is_well(found[:2])) == (True, False)
-        assert np.isnan(found[1].value)
-        assert verdicts.summary_line(found).startswith("1 reproduced, 0 within tolerance, 1 not reproduced, 1 inc")
+        actual = compare(grid(value, 0.001, status=status, published={(0, 0): "0.60", (0, 1): "0.60", (1, 1): "0.7"}))
+        assert [c.verdict for c in actual] == ["reproduced", "incomplete", "NOT reproduced"]
+        assert (reason in actual[1].reason, verdicts.all_is_well(actual[:2])) == (True, False)
+        assert np.isnan(actual[1].value)
+        assert verdicts.summary_line(actual).startswith("1 reproduced, 0 within tolerance, 1 not reproduced, 1 inc")
 
 
 def test_a_claim_of_a_law_for_each_model(tmp_path):
     claims = [claim(published="-0.5", exact=True, slope=LAW)]
     value = np.array([2.0 * N**-0.5, 3.0 * N**-0.7])
-    found = compare(grid(value, 0.01 * value, claims=claims))
-    assert [(c.where["model"], c.verdict) for c in found] == [("old", "reproduced"), ("new", "NOT reproduced")]
-    assert [c.value for c in found] == pytest.approx([-0.5, -0.7])
-    assert found[0].mc_error == pytest.approx(0.01 / np.sqrt(np.sum((np.log(N) - np.log(N).mean()) ** 2)))
-    wanted = 0.0, 3 * found[0].mc_error, "slope of width over n", ""
-    assert (found[0].rounding, found[0].allowance, found[0].quantity, found[0].unit) == wanted
+    actual = compare(grid(value, 0.01 * value, claims=claims))
+    assert [(c.where["model"], c.verdict) for c in actual] == [("old", "reproduced"), ("new", "NOT reproduced")]
+    assert [c.value for c in actual] == pytest.approx([-0.5, -0.7])
+    assert actual[0].mc_error == pytest.approx(0.01 / np.sqrt(np.sum((np.log(N) - np.log(N).mean()) ** 2)))
+    wanted = 0.0, 3 * actual[0].mc_error, "slope of width over n", ""
+    assert (actual[0].rounding, actual[0].allowance, actual[0].quantity, actual[0].unit) == wanted
     two = [claims[0] | {"where": {"model": "old"}}, claims[0] | {"published": "-0.7"}]
     laws = [linksweep.fit_power_law(grid(value, 0.01 * value, claims=two), "width", "n", e) for e in (None, -0.5, -0.7)]
     assert laws[0]["expected"].values.tolist() == [-0.5, -0.7]  # the first claim is about one model
@@ -168,9 +168,9 @@ def test_a_claim_about_points_that_are_not_done_not_finite_or_not_there(tmp_path
     status[1, 0] = MISSING
     value = np.array([[1.0] * 5, [np.nan, 0.0, 1.0, 1.0, 1.0]])
     claims = [claim(published="1.0", ratio={"variable": "width", "of": {"model": "old"}, "to": {"model": "new"}})]
-    found = compare(grid(value, 0.0, claims=claims, status=status))
-    assert [c.verdict for c in found][:3] == ["incomplete", "NOT reproduced", "reproduced"]
-    assert found[1].reason == "the result is not a finite number"
+    actual = compare(grid(value, 0.0, claims=claims, status=status))
+    assert [c.verdict for c in actual][:3] == ["incomplete", "NOT reproduced", "reproduced"]
+    assert actual[1].reason == "the result is not a finite number"
     for keys, reason in (
         ({"slope": LAW | {"over": "m"}}, "m is not an axis of this store"),
         ({"slope": LAW, "where": {"colour": "red"}}, "'colour' is not an axis; known are model, n"),
@@ -183,8 +183,8 @@ def test_a_claim_about_points_that_are_not_done_not_finite_or_not_there(tmp_path
     values = [{"variable": "result", "at": at} for at in ({"a": 2}, {"a": 2, "b": 2})]
     claims = [claim(slope={"variable": "result", "over": "a"}), *(claim(value=one, published="4.0") for one in values)]
     study = {"experiment": lambda a, b: a * b, "points": {"a": [1, 2, 2], "b": [1, 1, 2]}, "claim": claims}
-    found = compare(linksweep.run(study, tmp_path / "t", pool="serial"))
-    assert [c.reason for c in found] == ["a is not an axis of this store", "several points of the store have a=2", ""]
+    actual = compare(linksweep.run(study, tmp_path / "t", pool="serial"))
+    assert [c.reason for c in actual] == ["a is not an axis of this store", "several points of the store have a=2", ""]
 
 
 def test_a_component_of_a_result():
@@ -193,9 +193,9 @@ def test_a_component_of_a_result():
     dataset = dataset.assign_coords(component=["x", "y"], component_unit=("component", ["m", "s"]))
     dataset["shift"] = (axes, numbers, {"units": "m, s"})
     dataset["shift_mc_error"] = (axes, 0.1 * numbers)
-    found = compare(dataset)
-    assert [c.where for c in found] == [{"model": "old", "n": 50.0}, {"model": "new", "n": 50.0}]
-    assert {(c.value, c.mc_error, c.unit, c.quantity) for c in found} == {(2.0, 0.2, "s", "shift[y]")}
+    actual = compare(dataset)
+    assert [c.where for c in actual] == [{"model": "old", "n": 50.0}, {"model": "new", "n": 50.0}]
+    assert {(c.value, c.mc_error, c.unit, c.quantity) for c in actual} == {(2.0, 0.2, "s", "shift[y]")}
 
 
 def test_a_store_carries_what_was_published_and_keeps_its_numbers(coins, here):
@@ -214,10 +214,10 @@ def test_a_store_carries_what_was_published_and_keeps_its_numbers(coins, here):
     assert rounding.sel(metal="gold").values.tolist()[:2] == [0.05, 0.005]
     assert np.isnan(rounding.sel(metal="tin", coins=1))
     assert (published.attrs["tolerance"], published.attrs["tolerance_reason"]) == (0.2, "biased")
-    found = {tuple(c.where.values()): c.verdict for c in compare(dataset)}
+    actual = {tuple(c.where.values()): c.verdict for c in compare(dataset)}
     # The bias of a batch of coins, uniform in +-0.1, scatters the mean of 20 batches by 0.013.
-    assert found["gold", 5] in ("reproduced", "within tolerance")
-    assert (found["gold", 1], found["tin", 20]) == ("reproduced", "NOT reproduced")
+    assert actual["gold", 5] in ("reproduced", "within tolerance")
+    assert (actual["gold", 1], actual["tin", 20]) == ("reproduced", "NOT reproduced")
     assert verdicts.remarks(dataset) == ["share: published numbers that are not in this grid and not compared: 1"]
     published_coins["published"] = {"file": "table.csv", "source": "Coins (1714)"}
     published_coins["sampling"] = coins["sampling"] | {"n_sim": 10}  # also by a run of less than the store has
@@ -281,9 +281,9 @@ def test_a_plain_function_has_claims_a_conclusion_and_published_numbers(tmp_path
     study["conclusion"] = {"sentences": ["It is {w}.", "It is {depth}."], "values": values}
     study["published"] = {"file": str(tmp_path / "p.csv"), "source": "Table 1"}
     dataset = linksweep.run(study, tmp_path / "s", pool="serial")
-    found = compare(dataset)
-    assert [one.verdict for one in found] == [*["reproduced"] * 2, "incomplete"] * 2 + ["incomplete"] * 2
-    assert all(words in one.reason for words, one in zip(wrong.values(), found[5:], strict=True))
+    actual = compare(dataset)
+    assert [one.verdict for one in actual] == [*["reproduced"] * 2, "incomplete"] * 2 + ["incomplete"] * 2
+    assert all(words in one.reason for words, one in zip(wrong.values(), actual[5:], strict=True))
     said, words = linksweep.answer(dataset).sentences, ("It is 2.8", "depth is not a result of this store")
     assert all(one in sentence for one, sentence in zip(words, said, strict=True))
     study["claim"] = [claim(value={"variable": "a", "at": {"a": 1.0}})]
@@ -306,8 +306,8 @@ def test_published_numbers_stand_at_the_point_that_is_meant_also_if_it_is_exclud
     flags = {"experiment": lambda x, day, k=0.4: {"w": int(x)}, "published": study["published"]}
     flags["axes"], at = {"x": [False, True], "day": [date(2024, 6, 1)]}, {"x": True, "day": date(2024, 6, 1)}
     flags |= {"claim": [claim(value={"variable": "w", "at": at})], "figure": {"at": at}}
-    found = compare(linksweep.run(flags, tmp_path / "b", pool="serial"))
-    assert [(c.where["x"], c.verdict) for c in found] == [(x, "reproduced") for x in (False, True, True)]
+    actual = compare(linksweep.run(flags, tmp_path / "b", pool="serial"))
+    assert [(c.where["x"], c.verdict) for c in actual] == [(x, "reproduced") for x in (False, True, True)]
     (tmp_path / "p.csv").write_text("release,w\n1.10,4\n007,5\n")  # at the k of the study, an axis of the store
     axes, two = {"release": ["1.10", "007", "8"]}, {"k": [1, 2]}
     for k, more in (2, {"fixed": {"k": 2}}), (1, {"axes": axes | two}), (None, {"axes": axes | two}):

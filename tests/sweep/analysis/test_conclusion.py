@@ -21,10 +21,10 @@ BAD += [("{gaia}", {}, "needs exactly one of slope, ratio and value")]
 
 def made(value=((0.65, 0.57), (0.0017, 0.00054)), error=3e-6, status=DONE):
     status = np.array([[DONE, DONE], [DONE, status]], dtype=np.int8)
-    found = grid(value, error, np.array([14.0, 20.0]), "v_max", status=status).assign_coords(model=["amex", "gaia"])
+    result = grid(value, error, np.array([14.0, 20.0]), "v_max", status=status).assign_coords(model=["amex", "gaia"])
     for name in ("width", "width_mc_error"):
-        found[name].attrs |= {"units": "mas / yr", "long_name": "RMS error"}
-    return found.rename(width="sigma_spin", width_mc_error="sigma_spin_mc_error")
+        result[name].attrs |= {"units": "mas / yr", "long_name": "RMS error"}
+    return result.rename(width="sigma_spin", width_mc_error="sigma_spin_mc_error")
 
 
 def said(dataset):
@@ -45,10 +45,10 @@ FILLED += [("{gaia}", ANY | {"choose": a}, said) for a, said in (("largest", "0.
 
 @pytest.mark.parametrize(("sentence", "value", "text"), FILLED)
 def test_values_are_filled_in_with_units(sentence, value, text):
-    (found,) = concluding(made(), sentence, gaia=value)
-    numbers = [[float(n) for n in re.findall(r"\d+\.?\d*", one)] for one in (found, text)]
+    (result,) = concluding(made(), sentence, gaia=value)
+    numbers = [[float(n) for n in re.findall(r"\d+\.?\d*", one)] for one in (result, text)]
     assert numbers[0] == pytest.approx(numbers[1], rel=5e-3)
-    assert re.sub(r"\d+\.?\d*", "0", found) == re.sub(r"\d+\.?\d*", "0", text)
+    assert re.sub(r"\d+\.?\d*", "0", result) == re.sub(r"\d+\.?\d*", "0", text)
 
 
 @pytest.mark.parametrize("bound", ["above", "below", "equals"])

@@ -32,8 +32,8 @@ COMMANDS = {
 }
 
 
-def met(found):
-    return [MET[int(code)] for code in found["met"].values.ravel()]
+def met(actual):
+    return [MET[int(code)] for code in actual["met"].values.ravel()]
 
 
 def test_a_covariance_is_that_of_the_dataset_and_of_the_points_that_are_left():
@@ -49,9 +49,9 @@ def test_a_covariance_is_that_of_the_dataset_and_of_the_points_that_are_left():
     assert few["conclusion"].values.tolist() == ["", "too few points"]
     rows = list(zip(without["points"].values, without["conclusion"].values, strict=True))
     assert rows == [(4.0, "as expected"), (0.0, "no point in the study")]
-    found = find(grid(N, status=[[DONE] + [EXCLUDED] * 4, [DONE] * 2 + [EXCLUDED] * 3]), "width > 500", "n")
+    actual = find(grid(N, status=[[DONE] + [EXCLUDED] * 4, [DONE] * 2 + [EXCLUDED] * 3]), "width > 500", "n")
     never = "never; 20 mas at 20 is nearest to the limit; points go only from 10 to 20"
-    assert found["conclusion"].values.tolist() == ["left out; only 1 of 5 points: 10", never]
+    assert actual["conclusion"].values.tolist() == ["left out; only 1 of 5 points: 10", never]
     part = fit_power_law(shared.isel(n=slice(1, None), n_other=slice(1, None)), "width", "n")
     assert without["exponent_error"].values[0] == pytest.approx(part["exponent_error"].values[0], rel=1e-12)
 
@@ -81,11 +81,11 @@ def test_a_law_is_through_the_points_with_known_errors(unknown):
     y, errors = N**-0.5 * [1.0, 1.02, 2.0, 0.97, 1.0], 0.01 * N**-0.5 * [1.0, 1.0, np.nan, 1.0, 1.0]
     few = np.where(np.arange(5) == 1, errors, np.nan)
     errors[2] = unknown
-    found = fit_power_law(grid(np.array([y, y]), np.array([errors, few])), "width", "n", -0.5)
+    actual = fit_power_law(grid(np.array([y, y]), np.array([errors, few])), "width", "n", -0.5)
     part = fit_power_law(grid(y, errors).isel(n=[0, 1, 3, 4]), "width", "n", -0.5)
-    assert found.isel(model=0).drop_attrs().equals(part.isel(model=0).drop_attrs())
-    assert (found["points"].values.tolist(), "left out: 1" in found.attrs["notes"]) == ([4.0, 5.0], True)
-    assert (np.isnan(found["exponent_error"].values[1]), found["conclusion"].values[1]) == (True, "")
+    assert actual.isel(model=0).drop_attrs().equals(part.isel(model=0).drop_attrs())
+    assert (actual["points"].values.tolist(), "left out: 1" in actual.attrs["notes"]) == ([4.0, 5.0], True)
+    assert (np.isnan(actual["exponent_error"].values[1]), actual["conclusion"].values[1]) == (True, "")
 
 
 def test_truth_values_and_integers_have_crossings_and_values_between():
@@ -94,9 +94,9 @@ def test_truth_values_and_integers_have_crossings_and_values_between():
     dataset["count"] = dataset["width"].astype(np.int64)
     dataset.attrs["function"] = 1
     for condition, crossing in [("flag > 0.5", np.sqrt(50.0 * 100.0)), ("count > 60", 60.0)]:
-        found = find(dataset, condition, over="n")
-        assert found["first"].values == pytest.approx(crossing)
-        assert np.isnan(found["first_error"].values).all()  # there is none, and none is made of the type
+        actual = find(dataset, condition, over="n")
+        assert actual["first"].values == pytest.approx(crossing)
+        assert np.isnan(actual["first_error"].values).all()  # there is none, and none is made of the type
     assert interpolate(dataset, "count", "n", 100.0)["count"].values == pytest.approx(100.0)
     assert ratio(dataset, "flag", "n", of=100.0, to=300.0)["ratio"].values == pytest.approx(1.0)
     exact = dataset.assign(count=2**58 * (dataset["count"] // 10))  # beyond 2**53, and floats
@@ -192,9 +192,9 @@ def test_options_of_commands_say_what_arguments_of_functions_do(tmp_path, sweep_
         rows = json.loads(out)["rows"]
         for name, values in function(linksweep.open(decays)).items():
             if values.dtype.kind == "f":
-                found = [np.nan if row[name] is None else row[name] for row in rows]
+                actual = [np.nan if row[name] is None else row[name] for row in rows]
                 finite = np.where(np.isfinite(values), values, np.nan)
-                np.testing.assert_array_equal(found, finite.reshape(-1), err_msg=f"{command}: {name}")
+                np.testing.assert_array_equal(actual, finite.reshape(-1), err_msg=f"{command}: {name}")
 
 
 @pytest.mark.slow
@@ -226,11 +226,11 @@ def test_crossings_of_points_with_errors_of_any_size(noise, truth):
     x = np.arange(5.0)
     y = x - truth + noise * np.random.default_rng(5).standard_normal((400, 5))
     for axis, at, unit in ((x, truth, 2.0**-900), (20.0**x, 20.0**truth, 2.0**900)):  # the second is logarithmic
-        found = find(grid(unit * y, unit * noise, x=axis), "width > 0", "n")
-        error = found["first_error"].values
+        actual = find(grid(unit * y, unit * noise, x=axis), "width > 0", "n")
+        error = actual["first_error"].values
         known = np.isfinite(error)
         assert known.mean() > 0.85  # else the line may cross nowhere
-        within = np.mean(abs(found["first"].values - at)[known] < 2.0 * error[known])
+        within = np.mean(abs(actual["first"].values - at)[known] < 2.0 * error[known])
         assert 0.955 - 4.0 * np.sqrt(0.955 * 0.045 / 400) < within < 0.999
 
 
@@ -240,9 +240,9 @@ def test_a_line_that_turns_back_at_the_limit_has_not_crossed_it(noise, mirrored)
     """The truth is near the last point, in steps of the axis, and noise crosses before; for most there is no error."""
     x = np.arange(6.0)
     y = x - 4.8 + noise * np.random.default_rng(6).standard_normal((400, 6))
-    found = find(grid(y[:, ::-1] if mirrored else y, noise, x=x), "width > 0", "n")
+    actual = find(grid(y[:, ::-1] if mirrored else y, noise, x=x), "width > 0", "n")
     for name in ("first", "last"):
-        wrong = abs(found[name].values - (0.2 if mirrored else 4.8)) > 2.0 * found[f"{name}_error"].values
+        wrong = abs(actual[name].values - (0.2 if mirrored else 4.8)) > 2.0 * actual[f"{name}_error"].values
         assert wrong.sum() < 400 * 0.045 + 4.0 * np.sqrt(400 * 0.045)
     tops = np.array([[-5.0, 0.5, -5.0, -5.0], [-5.0, 0.5, -5.0, 5.0]])  # with errors of 1: above the limit, or not?
     errors = find(grid(-tops if mirrored else tops, 1.0, x=x[:4]), "width > 0", "n")["first_error"].values
@@ -265,18 +265,18 @@ def law(v, floor=0.55, size=0.13, rate=0.8):
 @pytest.mark.parametrize(("floor", "rate"), few(1, [(0.0, 0.3), (0.35, 0.05)]))
 def test_a_plateau_that_points_do_not_reach_is_within_its_errors(floor, rate):
     y = law(V, floor, 1.1, rate) * (1.0 + 0.02 * np.random.default_rng(25).standard_normal((40, len(V))))
-    pulls = ((found := level_off(y, 0.02 * y))["plateau"] - floor) / found["plateau_error"]
+    pulls = ((actual := level_off(y, 0.02 * y))["plateau"] - floor) / actual["plateau_error"]
     assert np.mean(np.abs(pulls.values[np.isfinite(pulls)]) <= 2.0) > 0.85  # binomial error of some 20: 5 %
-    assert set(found["conclusion"].str.contains("no plateau;|everywhere|not significant").values) == {True}
+    assert set(actual["conclusion"].str.contains("no plateau;|everywhere|not significant").values) == {True}
 
 
 def test_what_does_not_level_off_says_so():
     bent = np.sqrt(2.0 - ((V - 14.0) / 6.0) ** 2), 1e-6, ("no plateau; at the end it falls by 17", np.inf)
     straight = [(np.sqrt(1.0 + slope * (V - 14.0)), 0.05, ("falls by less", -np.inf)) for slope in (0.1, -0.01)]
     for y, fall, expected in (bent, *straight):
-        found = level_off(y, 1e-6 * y, fall).isel(model=0)
-        words, limit, error = (found[name].item() for name in ("conclusion", "limit", "plateau_error"))
+        actual = level_off(y, 1e-6 * y, fall).isel(model=0)
+        words, limit, error = (actual[name].item() for name in ("conclusion", "limit", "plateau_error"))
         assert (words[: len(expected[0])], limit, np.isnan(error)) == (*expected, True)  # a rise ends at any height
-    found = level_off(law(V), np.where(V < 15.0, 0.004, np.nan)).isel(model=0)  # too few errors
-    assert np.isnan(found[["plateau_error", "limit_error", "rate_error"]].to_array()).all()
-    assert found["conclusion"].item().endswith("whether the levelling off is significant is not known")
+    actual = level_off(law(V), np.where(V < 15.0, 0.004, np.nan)).isel(model=0)  # too few errors
+    assert np.isnan(actual[["plateau_error", "limit_error", "rate_error"]].to_array()).all()
+    assert actual["conclusion"].item().endswith("whether the levelling off is significant is not known")

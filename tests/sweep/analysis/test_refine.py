@@ -46,8 +46,8 @@ def rounds(ds):
 def test_a_root_is_located_with_a_fifth_of_the_points_of_the_full_grid(root, power, is_step, finest, number):
     fixed, axes = {"root": root, "power": power, "is_step": is_step}, {"x": np.linspace(0.0, 1.0, number)}
     ds = linksweep.refine(shape, axes=axes, fixed=fixed, find="shape > 0", within=finest, pool="serial")
-    found, x = linksweep.find(ds, "shape > 0", "x"), ds.x.values
-    assert (int(found["crossings"]), abs(float(found["first"]) - root) <= finest) == (1, True)
+    result, x = linksweep.find(ds, "shape > 0", "x"), ds.x.values
+    assert (int(result["crossings"]), abs(float(result["first"]) - root) <= finest) == (1, True)
     # A point may be the root itself, on either side of the condition.
     beside = {side: int(np.searchsorted(x, root, side=side)) for side in ("left", "right")}
     assert min(x[i] - x[i - 1] for i in beside.values()) <= finest * (1.0 + 1e-9)

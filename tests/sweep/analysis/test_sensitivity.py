@@ -56,27 +56,27 @@ def by_quadrature(function, ranges, nodes):
 OF_BOREHOLE = by_quadrature(flow, BOREHOLE.values(), 4)
 
 
-def run(function, store, **given):
+def run(function, store, **options):
     vectorised = experiment(vectorised=True)(function) if function in (ishigami, flow) else function
-    return linksweep.run(vectorised, store=store, pool="serial", **given)
+    return linksweep.run(vectorised, store=store, pool="serial", **options)
 
 
-def agrees(found, name, truth, most=4.0):
-    return bool(np.all(np.abs(found[name].values - truth) < most * found[f"{name}_error"].values))
+def agrees(result, name, truth, most=4.0):
+    return bool(np.all(np.abs(result[name].values - truth) < most * result[f"{name}_error"].values))
 
 
 @pytest.mark.parametrize("n", [12, slow(15)])
 def test_a_grid_of_the_ishigami_function(n, tmp_path):
     middle = (np.arange(n) + 0.5) / n * 2 * PI - PI
     ds = run(ishigami, tmp_path / "s.zarr", axes=dict.fromkeys(BOX, middle))
-    found = sensitivity(ds)
-    assert found.parameter.values.tolist() == list(BOX)
+    result = sensitivity(ds)
+    assert result.parameter.values.tolist() == list(BOX)
     for name, truth in (("first", ALONE[:2]), ("total", TOTAL)):
-        part = found.isel(parameter=slice(len(truth)))
+        part = result.isel(parameter=slice(len(truth)))
         assert agrees(part, name, truth, most=2.0)
         assert float(part[f"{name}_error"].max()) < 0.5 / n
-    assert abs(found["first"].values[2]) < 1e-12
-    assert found.equals(sensitivity(ds.assign(ishigami=2.0**600 * ds["ishigami"])))
+    assert abs(result["first"].values[2]) < 1e-12
+    assert result.equals(sensitivity(ds.assign(ishigami=2.0**600 * ds["ishigami"])))
     assert "with fewer than 8 values" in sensitivity(ds.isel({name: slice(0, 6) for name in BOX})).attrs["notes"]
 
 
@@ -85,19 +85,19 @@ def test_indices_of_designs_of_both_functions(design, tmp_path):
     points, has_total = {"design": design, "n": 256 if design == "saltelli" else 512, "seed": 4}, design == "saltelli"
     for function, ranges, truths in ((ishigami, BOX, (ALONE, TOTAL)), (flow, BOREHOLE, OF_BOREHOLE)):
         store = tmp_path / f"{function.__name__}.zarr"
-        found = sensitivity(run(function, store, points=points | {"ranges": ranges}))
-        assert agrees(found, "first", truths[0])
-        assert not has_total or agrees(found, "total", truths[1])
-        assert ("total" in found) == has_total
-        notes = found.attrs["notes"]
+        result = sensitivity(run(function, store, points=points | {"ranges": ranges}))
+        assert agrees(result, "first", truths[0])
+        assert not has_total or agrees(result, "total", truths[1])
+        assert ("total" in result) == has_total
+        notes = result.attrs["notes"]
         assert ("total indices need a full grid or a saltelli design" in notes) != has_total
         assert "Monte-Carlo" not in notes  # the functions draw no random numbers
         (name, y), *_ = (again := linksweep.open(store)).items()  # the same errors every time, in any unit
-        assert all(found.equals(sensitivity(again.assign({name: 2.0**power * y}), name)) for power in (0, -600, 600))
-        low, high = linksweep.plot(found).axes[0].get_xlim()
-        assert low < float((found["first"] - found.first_error).min()) < float(found["first"].max()) < high
-    assert found.parameter.values[np.argmax(found["first"].values)] == "rw"
-    assert float(found.first_error.max()) < 0.12
+        assert all(result.equals(sensitivity(again.assign({name: 2.0**power * y}), name)) for power in (0, -600, 600))
+        low, high = linksweep.plot(result).axes[0].get_xlim()
+        assert low < float((result["first"] - result.first_error).min()) < float(result["first"].max()) < high
+    assert result.parameter.values[np.argmax(result["first"].values)] == "rw"
+    assert float(result.first_error.max()) < 0.12
 
 
 def test_morris_effects_of_a_linear_function_are_its_slopes(tmp_path):
@@ -108,9 +108,9 @@ def test_morris_effects_of_a_linear_function_are_its_slopes(tmp_path):
     ds = run(plane, tmp_path / "s.zarr", points={"design": "morris", "n": 6, "ranges": ranges})
     far = sensitivity(ds.assign(product=2.0**600 * ds["product"]), "product")
     assert far.equals(2.0**600 * sensitivity(ds, "product"))
-    found = sensitivity(ds, "z")
+    result = sensitivity(ds, "z")
     effects = np.array([[3.0, 20.0, 0.0, 50.0, 8.0], [3.0, -20.0, 0.0, 50.0, -8.0], [0.0] * 5])
-    assert found[["mu_star", "mu", "sigma"]].to_array().values == pytest.approx(effects, abs=1e-9)
+    assert result[["mu_star", "mu", "sigma"]].to_array().values == pytest.approx(effects, abs=1e-9)
 
 
 def test_a_table_may_be_any_and_columns_that_go_together_are_named(tmp_path):
@@ -120,10 +120,10 @@ def test_a_table_may_be_any_and_columns_that_go_together_are_named(tmp_path):
 
     rng = np.random.default_rng(8)
     table = {"kind": rng.choice(["a", "b", "c"], 600).tolist(), "k": rng.integers(1, 7, 600)}
-    found = sensitivity(run(mixed, tmp_path / "s.zarr", points=table | {"x": table["k"] + 0.0}))
+    result = sensitivity(run(mixed, tmp_path / "s.zarr", points=table | {"x": table["k"] + 0.0}))
     alone = np.var([0.0, 1.0, 5.0]), np.var([0, 1, 2])
-    assert agrees(found.isel(parameter=slice(2)), "first", np.array(alone) / sum(alone))
-    assert "k and x go together in these points" in found.attrs["notes"]
+    assert agrees(result.isel(parameter=slice(2)), "first", np.array(alone) / sum(alone))
+    assert "k and x go together in these points" in result.attrs["notes"]
 
 
 @pytest.mark.slow
@@ -134,9 +134,9 @@ def test_crossed_axes_and_dimensions_of_an_output_have_indices_each(tmp_path):
         return xr.DataArray(scale * (a * (1.0 - t) + b * t), {"time": t}, name="y")
 
     points = {"design": "sobol", "n": 128, "ranges": {"a": [0, 1], "b": [0, 1]}}
-    found = sensitivity(run(course, tmp_path / "s.zarr", points=points, axes={"scale": [1.0, 2.0]}))
-    assert found["first"].dims == ("scale", "time", "parameter")
-    assert np.allclose(found["first"].values, [[1, 0], [0.5, 0.5], [0, 1]], atol=0.04)
+    result = sensitivity(run(course, tmp_path / "s.zarr", points=points, axes={"scale": [1.0, 2.0]}))
+    assert result["first"].dims == ("scale", "time", "parameter")
+    assert np.allclose(result["first"].values, [[1, 0], [0.5, 0.5], [0, 1]], atol=0.04)
 
 
 @pytest.mark.parametrize(("name", "shared"), few(2, [("y_mean", ["z"]), ("y_std", []), ("y_mean", ["x"])]))
@@ -146,10 +146,10 @@ def test_unknown_errors_of_points_are_unknown_errors_of_indices(name, shared, tm
         return {"y": x + z + rng.normal()}
 
     axes = dict.fromkeys("xz", np.linspace(0.05, 0.95, 10))
-    found = sensitivity(run(noisy, tmp_path / "s", axes=axes, sampling={"n_sim": 20}), name)
-    assert np.isnan(found[["first_error", "total_error"]].to_array()).all()
-    assert "noise counts as variation" in found.attrs["notes"]
-    assert (found.total >= found["first"] - 1e-12).all()
+    result = sensitivity(run(noisy, tmp_path / "s", axes=axes, sampling={"n_sim": 20}), name)
+    assert np.isnan(result[["first_error", "total_error"]].to_array()).all()
+    assert "noise counts as variation" in result.attrs["notes"]
+    assert (result.total >= result["first"] - 1e-12).all()
 
 
 def test_what_has_no_indices_says_why(tmp_path):
@@ -233,8 +233,8 @@ COVERED += [(random_points, 200, (ALONE,), 0.9), (lambda seed: random_points(see
 @pytest.mark.slow
 @pytest.mark.parametrize(("estimate", "copies", "truths", "least"), COVERED)
 def test_errors_cover_the_truth_and_are_not_merely_large(estimate, copies, truths, least):
-    found = np.moveaxis(np.array([estimate(seed) for seed in range(copies)]), 1, 0)
-    for estimates, errors, truth in zip(found[::2], found[1::2], truths, strict=True):
+    result = np.moveaxis(np.array([estimate(seed) for seed in range(copies)]), 1, 0)
+    for estimates, errors, truth in zip(result[::2], result[1::2], truths, strict=True):
         for value, error, true in zip(estimates.T, errors.T, truth, strict=True):
             assert np.mean(np.abs(value - true) < 2.0 * error) > least
             if len(truths) == 1:

@@ -41,9 +41,9 @@ def test_integers_are_exact_beside_gaps_in_tables_and_in_the_dataset(tmp_path, s
     assert [float(cells[1]) if cells[1] else None for cells in csv] == EXPECTED
     ecsv = Table.read(shown("show", store, "--format", "ecsv"), format="ascii.ecsv")
     assert (ecsv["k"].tolist(), ecsv["small"].tolist()) == (EXACT, EXPECTED)
-    found = linksweep.open(store)
-    assert [None if k != k else k for k in found.k.values] == EXACT  # noqa: PLR0124 (NaN)
-    assert found.small.dtype == float
+    result = linksweep.open(store)
+    assert [None if k != k else k for k in result.k.values] == EXACT  # noqa: PLR0124 (NaN)
+    assert result.small.dtype == float
     for command in ("plot", "fit"):
         assert "no numbers to draw or to fit" in sweep(command, store, "--over", "a", "--variable", "k", code=2)[2]
     # an integer beyond those of floats chooses its own point
@@ -74,9 +74,9 @@ def test_days_are_told_apart_wherever_they_are_shown(tmp_path):
     store, jd = tmp_path / "lc.zarr", [2460000.0 + 0.1 * i for i in range(11)]
     linksweep.run(lit, store, axes={"jd": jd, "w": [1.0, 2.0]}, pool="serial")
     assert "2.1" in shown("show", store, "--at", "w=1", "--at", "jd=2460000.1")
-    found = repr(linksweep.answer(linksweep.find(linksweep.open(store), "freq > 1420405752", over="jd")))
-    assert re.findall(r"from (\S+)", found) == ["2460000.23", "2460000.12"]
-    assert "freq > 1420405752 along" in found
+    result = repr(linksweep.answer(linksweep.find(linksweep.open(store), "freq > 1420405752", over="jd")))
+    assert re.findall(r"from (\S+)", result) == ["2460000.23", "2460000.12"]
+    assert "freq > 1420405752 along" in result
     assert "at 2460001 is nearest" in shown("find", store, "--over", "jd", "--where", "flux > 9")
     assert "2460000.50" in shown("fit", store, "--over", "jd", "--variable", "flux").split()
     linksweep.run(lit, tmp_path / "n.zarr", axes={"jd": [0.1 + 0.2, 0.5]}, pool="serial")

@@ -48,7 +48,7 @@ LOOKS = [  # at a store s.zarr and its study
 ]
 
 
-def found(text):
+def controls_in(text):
     return {text[max(0, one.start() - 30) : one.end() + 30] for one in CONTROLS.finditer(text)}
 
 
@@ -60,7 +60,7 @@ def folder(tmp_path_factory):
     command = ["run", "study.toml", "--pool", "serial", "-o", "s.zarr", "--log", "run.log", "--verbose"]
     code, out, err = run_sweep(*command, cwd=folder)
     assert (code, "fails" in err, "warns" in err) == (1, True, True), err
-    assert not found(out + err + (folder / "run.log").read_text())
+    assert not controls_in(out + err + (folder / "run.log").read_text())
     return folder
 
 
@@ -69,7 +69,7 @@ def test_commands_escape_what_a_function_and_a_study_say(folder, sweep, look):
     code, out, err = sweep(*look, cwd=folder)
     whole = "Traceback" not in err and "z\n" not in err and ("--format" not in look or r"\u001b[31m" in out)
     pages = re.sub("(?s)<script.*?</script>", "", "".join(page.read_text() for page in folder.glob("*.html")))
-    assert (code in (0, 1, 2), whole, found(out + err + pages)) == (True, True, set()), err
+    assert (code in (0, 1, 2), whole, controls_in(out + err + pages)) == (True, True, set()), err
 
 
 def test_json_is_exact(folder, sweep):
@@ -93,7 +93,7 @@ def test_a_terminal_gets_styles_of_ours_alone(folder, look, kind):
     os.close(ours)
     text = said.decode()
     assert look != "show" or (("\x1b" in text) == (kind == "xterm") and "left out to fit 40 columns:" in text)
-    assert not found(OURS.sub("", text))
+    assert not controls_in(OURS.sub("", text))
     assert "31m" not in text.replace("u001b[31m", "")
 
 
@@ -118,14 +118,14 @@ def test_commands_escape_every_text_of_a_store(folder, sweep, file, least):
             (store / file).write_bytes(sealed(replaced(document, at, text), file))
             for look in LOOKS[:1] + LOOKS[3:7]:
                 _, out, err = sweep(*look, cwd=folder)
-                assert ("Traceback" in err, found(out + err)) == (False, set()), (at, look, err)
+                assert ("Traceback" in err, controls_in(out + err)) == (False, set()), (at, look, err)
     finally:
         (store / file).write_bytes(original)
 
 
 @given(st.text())
 def test_harmless_text_is_what_it_was_but_for_controls(text):
-    assert not found(harmless(text))
+    assert not controls_in(harmless(text))
     assert json.loads(f'"{harmless(json.dumps(text, ensure_ascii=False)[1:-1])}"') == text
 
 
@@ -134,7 +134,7 @@ def test_harmless_text_is_what_it_was_but_for_controls(text):
 def test_no_cell_of_csv_is_a_formula(text):
     table = Table([Column("a", [""]), Column("b", [text])])
     ((_, said),) = list(csv.reader([*table.csv().partition("\n")[2].splitlines(True)]))
-    assert not found(said)
+    assert not controls_in(said)
     try:
         float(text)
     except ValueError:

@@ -195,6 +195,6 @@ def test_what_a_model_prints_is_in_the_log_and_not_in_the_output(pool, tmp_path,
     log = (tmp_path / "run.log").read_text()
     for kind, said in product((1, 2, 3), ("at {}: xxxxx", "not well at {}")):
         assert f"kind={kind}: printed: {said.format(kind)}" in log
-    (told,) = [line for line in err.splitlines() if "mind the gap" in line]
+    (report,) = [line for line in err.splitlines() if "mind the gap" in line]
     first = 1 if "serial" in pool else "[123]"
-    assert re.match(rf"warned 3 times, first at kind={first}: .*UserWarning: mind the gap \(user\.py, line ", told)
+    assert re.match(rf"warned 3 times, first at kind={first}: .*UserWarning: mind the gap \(user\.py, line ", report)

@@ -109,13 +109,13 @@ def test_of_points_that_share_random_numbers_the_one_that_ends_its_process_fails
     code = (Path(__file__).parents[1] / "spread.py").read_text()
     ends = "    import os\n    any(p['x'] == 1.0 for p in points) and os._exit(3)\n"
     sampling = {"n_sim": 64, "n_cat": 2, "seed": 5, "common_random_numbers": True}
-    found = []
+    result = []
     for name, text in (("whole", code), ("broken", code.replace("    squares = []\n", f"{ends}    squares = []\n"))):
         (tmp_path / f"{name}.py").write_text(text)
         study = {"title": "", "experiment": f"{tmp_path}/{name}.py:experiment", "axes": {"x": [0.5, 1.0, 2.0, 4.0]}}
-        found.append(run(study | {"sampling": sampling}, tmp_path / f"{name}.zarr"))
-    assert found[1].status.values.tolist() == [1, 2, 1, 1]
-    assert found[1].width.values[[0, 2, 3]].tolist() == found[0].width.values[[0, 2, 3]].tolist()
+        result.append(run(study | {"sampling": sampling}, tmp_path / f"{name}.zarr"))
+    assert result[1].status.values.tolist() == [1, 2, 1, 1]
+    assert result[1].width.values[[0, 2, 3]].tolist() == result[0].width.values[[0, 2, 3]].tolist()
 
 
 @pytest.mark.slow

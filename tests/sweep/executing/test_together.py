@@ -32,8 +32,8 @@ OWN += [lambda x: x * (1.0 + 1e-15 * len(x)), lambda x: np.where(x == 3.0, 1e-16
 
 def together(points, n_sim, streams):
     CALLS.append(len(streams))
-    found = [toss(points, n_sim, *pair) for pair in streams]
-    return {name: np.array([sums[name] for sums in found]) for name in experiment.sums}
+    result = [toss(points, n_sim, *pair) for pair in streams]
+    return {name: np.array([sums[name] for sums in result]) for name in experiment.sums}
 
 
 def results(evaluate_catalogues, n_cat=500):

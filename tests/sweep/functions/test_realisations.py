@@ -81,8 +81,8 @@ def test_differences_along_a_shared_axis_have_small_errors(tmp_path):
 
 @experiment(shared=("a", "b", "kind"))
 def turns(rng, n_sim, a: float = 1.0, b: int = 0, kind: str = "x"):
-    common, own = rng.normal(size=(2, n_sim))
-    return {"y": 10.0 + a + np.cos(a + b) * common + np.sin(a + len(kind)) * own}
+    common, ours = rng.normal(size=(2, n_sim))
+    return {"y": 10.0 + a + np.cos(a + b) * common + np.sin(a + len(kind)) * ours}
 
 
 @pytest.mark.parametrize("layout", few(2, LAID_OUT))
@@ -94,9 +94,9 @@ def test_points_that_are_cut_or_sorted_have_the_errors_that_they_had(tmp_path, l
     place = [values.index(value) for value in dict.fromkeys(study["axes" if "axes" in study else "points"][axis])]
 
     def error(dataset):
-        found = linksweep.ratio(dataset, "y_mean", axis, values[place[3]], values[place[1]])["ratio_error"].values
-        assert np.nanmin(found) > 0.0
-        return found
+        result = linksweep.ratio(dataset, "y_mean", axis, values[place[3]], values[place[1]])["ratio_error"].values
+        assert np.nanmin(result) > 0.0
+        return result
 
     dimension, wanted = whole[axis].dims[0], error(whole)
     for order in ([3, 1], [1, 3], [3, 2, 1, 0], [2, 1, 0, 3]):

@@ -64,9 +64,9 @@ def truth(law, name):
 @pytest.mark.parametrize(("law", "n", "copies"), [*QUICK, *LONG])
 def test_errors_hold_the_truth_95_times_of_100(law, n, copies):
     names = ["mean", "std", *FEWEST]
-    *found, _ = measured(drawn(LAWS[law], n, copies), *names)
+    *result, _ = measured(drawn(LAWS[law], n, copies), *names)
     slack = 3.0 * np.sqrt(0.05 * 0.95 / copies)  # what chance adds to either side of the band
-    for name, (value, error) in zip(names, found, strict=True):
+    for name, (value, error) in zip(names, result, strict=True):
         known = np.isfinite(error)
         if n < FEWEST.get(name, 50):
             assert not known.any()

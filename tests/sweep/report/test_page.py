@@ -75,16 +75,16 @@ def test_before_a_value_exists_nothing_is_concluded(dataset_of, undone):
     no, why = (" yet", "not done yet") if undone == Status.MISSING else ("", "failed")
     said.append(f"No conclusion{no}: numbers that it needs are missing ({why}).")
     assert linksweep.answer(nothing).sentences == said
-    found = section("s", nothing, 1, 100)
-    assert [*found["gaps"], *found["short"], *found["answers"]] == said
+    actual = section("s", nothing, 1, 100)
+    assert [*actual["gaps"], *actual["short"], *actual["answers"]] == said
     assert "[not done" not in report_page([("s.zarr", nothing)])
 
 
 def test_the_view_holds_the_numbers_of_the_dataset_in_their_order(results):
-    found, used, left_out = explorer(results, ["sigma_spin"], 10**6)
+    actual, used, left_out = explorer(results, ["sigma_spin"], 10**6)
     assert left_out == []
-    quantity = found["quantities"][0]
-    order = [axis["name"] for axis in found["axes"] if axis["name"] in results["sigma_spin"].dims]
+    quantity = actual["quantities"][0]
+    order = [axis["name"] for axis in actual["axes"] if axis["name"] in results["sigma_spin"].dims]
     error = np.hypot(results["sigma_spin_mc_error"], results["sigma_spin_catalogue_error"])
     wanted = {"value": results["sigma_spin"], "error": error, "published": results["sigma_spin_published"]}
     for name, array in wanted.items():
@@ -92,7 +92,7 @@ def test_the_view_holds_the_numbers_of_the_dataset_in_their_order(results):
         assert np.array(quantity[name], dtype=float) == pytest.approx(values, rel=1e-14, nan_ok=True)
     assert None in quantity["published"]
     parts = ("value", "error", "predicted", "published", "published_rounding")
-    assert used == sum(len(q[part]) for q in found["quantities"] for part in parts if part in q)
+    assert used == sum(len(q[part]) for q in actual["quantities"] for part in parts if part in q)
 
 
 def test_the_view_has_axes_and_integers_exactly_and_knows_what_nobody_asked_for(tmp_path):
@@ -101,8 +101,8 @@ def test_the_view_has_axes_and_integers_exactly_and_knows_what_nobody_asked_for(
 
     jd = [2460000.0 + 0.1 * i for i in range(11)]
     study = {"experiment": lit, "axes": {"jd": jd, "k": [1, 2]}}
-    found, *_ = explorer(linksweep.run(study, tmp_path / "s.zarr", pool="serial"), [], 10**6)
-    axes, views = ({one["name"]: one for one in found[part]} for part in ("axes", "quantities"))
+    actual, *_ = explorer(linksweep.run(study, tmp_path / "s.zarr", pool="serial"), [], 10**6)
+    axes, views = ({one["name"]: one for one in actual[part]} for part in ("axes", "quantities"))
     assert axes["jd"]["values"] == jd
     assert axes["jd"]["texts"] == ["2460000", *(f"2460000.{i}" for i in range(1, 10)), "2460001"]
     assert views["n"]["value"] == [str(2**60 + 1), str(2**60 + 2)] * 11
@@ -193,9 +193,9 @@ def test_differences_from_a_prediction_are_in_errors_and_have_no_unit(factor):
     values, error = factor * np.array(VALUES), 0.1 * factor * np.array(VALUES)
     errors = {"mc_error": 0.6 * error, "catalogue_error": 0.8 * error}
     dataset = grid(values, predicted=np.full((2, 3), 5.0 * factor), **errors)
-    found = residuals(dataset, "width")["width_from_prediction"]
-    assert "units" not in found.attrs
-    np.testing.assert_allclose(found.values, (values - 5.0 * factor) / error, rtol=1e-12)
+    actual = residuals(dataset, "width")["width_from_prediction"]
+    assert "units" not in actual.attrs
+    np.testing.assert_allclose(actual.values, (values - 5.0 * factor) / error, rtol=1e-12)
     assert residuals(grid(values, **errors), "width") is None
     assert "exponent" in report_page([("law", linksweep.fit_power_law(dataset, "width", "size"))])
 

@@ -310,8 +310,8 @@ def test_a_heading_sorts_by_value_and_pictures_and_tables_are_saved(show, store_
         assert values == sorted(values, reverse=descending)
     for kind in ("csv", "svg", "png"):
         driver.execute_script("document.querySelector(arguments[0]).click()", f"button.{kind}")
-        [found] = wait_until(lambda kind=kind: list(tmp_path.glob(f"quasars*.{kind}")), kind)
-        assert found.stat().st_size > 500
+        [result] = wait_until(lambda kind=kind: list(tmp_path.glob(f"quasars*.{kind}")), kind)
+        assert result.stat().st_size > 500
     assert "light-dark" not in next(tmp_path.glob("*.svg")).read_text()
     assert next(tmp_path.glob("*.csv")).read_text().startswith("model,v_max [mag],sigma_spin [µas/yr],")
 

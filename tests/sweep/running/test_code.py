@@ -147,10 +147,10 @@ def test_where_all_points_are_computed_again_results_may_be_others(tmp_path, swe
         code, _, err = sweep("run", "m.py:f", "--axis", "x=1,2", "-o", "s.zarr", "--redo", "old", cwd=tmp_path)
         assert code == (" - " in result), err
     assert sweep("check", "s.zarr", cwd=tmp_path)[0] == 0
-    found = linksweep.open(tmp_path / "s.zarr").drop_vars(["status", "wall_time", "code"], errors="ignore")
+    actual = linksweep.open(tmp_path / "s.zarr").drop_vars(["status", "wall_time", "code"], errors="ignore")
     want = eval(results[-1], {"x": 2.0})
     want = want if isinstance(want, dict) else {"f": want}
-    assert {name: values.sel(x=2.0).values.tolist() for name, values in found.data_vars.items()} == want
+    assert {name: values.sel(x=2.0).values.tolist() for name, values in actual.data_vars.items()} == want
 
 
 def test_other_statistics_are_computed_again_and_never_joined(tmp_path, sweep):

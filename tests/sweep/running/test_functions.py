@@ -42,8 +42,8 @@ PICTURES += '    assert HIDDEN == (not list(Path("FOLDER").glob("*.zarr")))\n'
 PICTURES += '    return {"image": np.random.default_rng(a).normal(size=(1100, 500))}\n'
 
 
-def run(function, store, **given):
-    return linksweep.run(function, store=store, pool="serial", **given)
+def run(function, store, **options):
+    return linksweep.run(function, store=store, pool="serial", **options)
 
 
 def test_integers_beside_points_that_failed_are_missing_there_and_exact_in_the_file(tmp_path):
@@ -95,10 +95,10 @@ def test_a_run_returns_what_its_store_has_and_no_value_is_taken_for_a_missing_on
     assert {n: v.dtype for n, v in made.variables.items()} == {n: v.dtype for n, v in whole.variables.items()}
     for k, wanted in enumerate(table):
         for name, value in (wanted or {}).items():
-            own = (..., slice(len(value))) if name == "ragged" else ...
+            ours = (..., slice(len(value))) if name == "ragged" else ...
             exact = np.datetime64(value, "ns").item() if name == "time" else value
-            assert whole[name][k].values[own].tolist() == exact
-            assert "text" in name or plain[name][k].notnull().values[own].all()
+            assert whole[name][k].values[ours].tolist() == exact
+            assert "text" in name or plain[name][k].notnull().values[ours].all()
         if wanted:
             assert whole.ragged[k, len(wanted["ragged"]) :].isnull().all()
 
@@ -136,11 +136,11 @@ def test_integers_and_floats_are_joined_whatever_the_order_and_the_runs(tmp_path
         ds = run(numbers, store, axes={"k": axis})
     expected = {name: joined([plain(row[name]) for row in values]) for name in ("a", "big", "v")}
     left = sorted(set.intersection(*map(set, expected.values())))
-    for name, own in expected.items():
+    for name, ours in expected.items():
         assert sorted(ds.k.values[ds.status.values == 1]) == left
         for k in left:
-            assert ds[name].sel(k=k).values.astype(own[k].dtype).tobytes() == own[k].tobytes()
-        assert len(left) < len(values) or ds[name].dtype == own[0].dtype
+            assert ds[name].sel(k=k).values.astype(ours[k].dtype).tobytes() == ours[k].tobytes()
+        assert len(left) < len(values) or ds[name].dtype == ours[0].dtype
     for message in json.loads(ds.attrs["failures"]).values():
         assert re.fullmatch(r"numbers: 'big' is \d+, which is beyond 2\*\*53, and is to be a float", message)
 

@@ -42,8 +42,8 @@ def described(thing, x: float = 1.0):
     return {"text": f"{type(thing).__name__} {getattr(thing, '__name__', thing)!r}", "y": x}
 
 
-def run(store, **given):
-    return linksweep.run(described, store, **{"pool": "serial", **given})
+def run(store, **options):
+    return linksweep.run(described, store, **{"pool": "serial", **options})
 
 
 UNTOLD = [({"thing": [one]}, "has no label of its own") for one in (Net(1), lambda: 1)]
@@ -156,9 +156,9 @@ def test_infinity_and_nan_are_values_of_functions_and_large_defaults_are_left_as
     (tmp_path / "m.py").write_text(text)
     for axis in ("x=2,3", "p=1,inf,nan", "q=inf"):
         sweep("run", "m.py:f", "--axis", axis, "--exclude", "p>1,x=3", "-o", "s.zarr", "-q", cwd=tmp_path, code=0)
-    found = {*linksweep.open(tmp_path / "s.zarr").f.to_series()} - {""}
+    actual = {*linksweep.open(tmp_path / "s.zarr").f.to_series()} - {""}
     values = [(2.0, "inf", "nan"), (1.0, "1.0", "nan"), (1.0, "inf", "nan"), (1.0, "nan", "nan"), (1.0, "inf", "inf")]
-    assert found == {f"({x}, {p}, {q}, {2**70})" for x, p, q in values}
+    assert actual == {f"({x}, {p}, {q}, {2**70})" for x, p, q in values}
     assert "every bit" in sweep("reproduce", "s.zarr", "--at", "x=1,p=nan,q=nan", cwd=tmp_path)[2]
 
 
@@ -285,12 +285,12 @@ def test_conditions_of_any_depth_hold_at_each_point_wherever_its_values_come_fro
     for number, (study, points) in enumerate(runs):
         asked, study["exclude"] = set[str](), [{"b": {"in": no_b}}]
         for point in points:
-            told = dict(point)
+            report = dict(point)
             for name in sorted(when):  # each depends on those before it
                 if any(point[other] not in some for other, some in when[name].items()):
-                    point[name], told[name] = "gone", DEFAULTS[name]
+                    point[name], report[name] = "gone", DEFAULTS[name]
             if point["b"] not in no_b:
-                expected[tuple(point.values())] = result = chained(**told)
+                expected[tuple(point.values())] = result = chained(**report)
                 asked.add(result)
         try:
             ds = linksweep.run(study | {"experiment": chained, "when": when}, store, pool="serial", keep=True)

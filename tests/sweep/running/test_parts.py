@@ -174,9 +174,9 @@ def test_a_task_of_an_array_is_a_part(model, tmp_path, sweep, monkeypatch, first
 def test_what_does_not_belong_together_is_refused_and_nothing_is_written(three, model, into, coin_store, tmp_path):
     def refused(stores, *messages, to="m"):
         before = sorted(path.name for path in tmp_path.iterdir())
-        with pytest.raises(SweepError) as told:
+        with pytest.raises(SweepError) as raised:
             merge(stores, tmp_path / to)
-        assert all(re.search(message, "\n".join(told.value.problems)) for message in messages), told.value.problems
+        assert all(re.search(message, "\n".join(raised.value.problems)) for message in messages), raised.value.problems
         assert sorted(path.name for path in tmp_path.iterdir()) == before
 
     other = run_parts(model, tmp_path / "o", [2], 3, axes=SMALL["axes"], fixed={"x": 0.75})
@@ -279,9 +279,9 @@ def test_failures_are_kept_unless_the_other_store_has_the_point(into, tmp_path, 
         merge([a, f], c)
     assert merge([a, b], c).status.equals(ds.status)
     assert (ds.attrs["failures"], ds.status.values.tolist()) == ('{"k=7": "ValueError: no b at 1.0"}', [1, 1, 2])
-    told = json.loads(ds.attrs[MERGED])
-    assert [one["store"].rpartition("/")[2] for one in told] == ["a", "b"]
-    assert told[1]["study_digest"] == OpenStore(b).attributes["study_digest"]
+    raised = json.loads(ds.attrs[MERGED])
+    assert [one["store"].rpartition("/")[2] for one in raised] == ["a", "b"]
+    assert raised[1]["study_digest"] == OpenStore(b).attributes["study_digest"]
     (tmp_path / "m.py").write_text(MODEL.replace("k == 7", "k == 77"))
     into("d", axes={"k": [7]}, fixed={"word": "b"})
     with pytest.raises(SweepError, match=r"m\.plain .* has changed"):

@@ -23,8 +23,8 @@ FILE = 'def model(x: float = 1.0, k: int = 1):\n    if k == 3:\n        raise Va
 FILE += '    return {"y": x * k}\n'
 
 
-def run(study, store, points=None, labels=None, **given):
-    return linksweep.run(study, store, points=points, labels=labels, pool="serial", **given)
+def run(study, store, points=None, labels=None, **options):
+    return linksweep.run(study, store, points=points, labels=labels, pool="serial", **options)
 
 
 def counting():
@@ -110,13 +110,13 @@ def test_the_command_line_runs_grows_fails_retries_and_reproduces_points(tmp_pat
     study, table = ("model.py:model", "--points", "t.csv", "-o", "s.zarr"), "x,k\n0.5,2\n0.25,3\n0.5,2\n"
     (tmp_path / "model.py").write_text(FILE)
     (tmp_path / "t.csv").write_text(table)
-    told, err = asked("run", *study, code=1)
+    report, err = asked("run", *study, code=1)
     assert "1 point failed: ValueError: three, at x=0.25,k=3" in err
-    rows = [(row["point"], row["y"], row["status"]) for row in told["rows"]]
+    rows = [(row["point"], row["y"], row["status"]) for row in report["rows"]]
     assert rows == [(0, 1.0, "done"), (1, None, "failed"), (2, 1.0, "done")]
     (tmp_path / "t.csv").write_text(table + "2.0,7\n")
-    told, _ = asked("plan", *study)
-    assert (told["grid"], told["blocks_pending"]) == ("point 4", 1)
+    report, _ = asked("plan", *study)
+    assert (report["grid"], report["blocks_pending"]) == ("point 4", 1)
     asked("run", *study, code=1)
     (tmp_path / "t.csv").unlink()
     for at in ("point=3", "x=2.0", "x=0.5,k=2"):
@@ -125,8 +125,8 @@ def test_the_command_line_runs_grows_fails_retries_and_reproduces_points(tmp_pat
     assert "point = 4 is not in the grid, which has 0, 1, 2, 3" in err
     (tmp_path / "model.py").write_text(FILE.replace("k == 3", "k == 300"))
     asked("run", "--retry", "s.zarr", code=2)
-    told, _ = asked("run", "--retry", "s.zarr", "--accept-code")
-    assert [row["y"] for row in told["rows"]] == [1.0, 0.75, 1.0, 14.0]
+    report, _ = asked("run", "--retry", "s.zarr", "--accept-code")
+    assert [row["y"] for row in report["rows"]] == [1.0, 0.75, 1.0, 14.0]
 
 
 def noisy(x: float, k: int = 1, *, rng):

@@ -198,8 +198,8 @@ def test_errors_of_values_so_far_of_a_function_cover(tmp_path, copies, blocks, s
     for name, truth in truths.items():
         error = ds[f"{name}_mc_error"].values
         assert np.isfinite(error).all()
-        found = np.mean(np.abs(ds[name].values - truth) <= 2.0 * error)
-        assert abs(found - 0.95) < 0.015 + 4.0 * np.sqrt(0.05 * 0.95 / copies), (name, found)
+        actual = np.mean(np.abs(ds[name].values - truth) <= 2.0 * error)
+        assert abs(actual - 0.95) < 0.015 + 4.0 * np.sqrt(0.05 * 0.95 / copies), (name, actual)
 
 
 @pytest.mark.slow

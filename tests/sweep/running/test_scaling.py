@@ -20,14 +20,14 @@ def test_the_command_leaves_the_measurements_and_nothing_else(tmp_path, sweep, m
     out = sweep("scaling", *arguments, "--pool", "threads", "--json", cwd=tmp_path, code=0)[1]
     pairs = [(row["kind"], row["workers"]) for row in json.loads(out)["rows"]]
     assert pairs == [(kind, workers) for kind in ("strong", "weak") for workers in (1, 2)]
-    found = xr.open_zarr(tmp_path / "results" / "quasars-scaling.zarr", consolidated=False).load()
-    assert (found["efficiency"].dims, found.attrs["repetitions"]) == (("kind", "workers"), 1)
-    assert np.allclose(found["speedup"], found["efficiency"] * found["workers"])
-    more = xr.where(found["kind"] == "weak", found["workers"], 1.0)  # of the work
-    assert np.allclose(found["speedup"], more * found["seconds"].sel(workers=1) / found["seconds"])
-    assert (found.weak_scaling_grows, found.title[:10]) == ("n_cat", "Scaling of")
-    assert ((found["seconds"] > 0.0) & (found["start_seconds"] > 0.0)).all()
-    assert {"versions", "host", "study_digest", "pool", "cores"} <= set(found.attrs)
+    result = xr.open_zarr(tmp_path / "results" / "quasars-scaling.zarr", consolidated=False).load()
+    assert (result["efficiency"].dims, result.attrs["repetitions"]) == (("kind", "workers"), 1)
+    assert np.allclose(result["speedup"], result["efficiency"] * result["workers"])
+    more = xr.where(result["kind"] == "weak", result["workers"], 1.0)  # of the work
+    assert np.allclose(result["speedup"], more * result["seconds"].sel(workers=1) / result["seconds"])
+    assert (result.weak_scaling_grows, result.title[:10]) == ("n_cat", "Scaling of")
+    assert ((result["seconds"] > 0.0) & (result["start_seconds"] > 0.0)).all()
+    assert {"versions", "host", "study_digest", "pool", "cores"} <= set(result.attrs)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["results", "scratch"]
     assert not list((tmp_path / "scratch").glob("linksweep*"))
     assert "exists already" in sweep("scaling", *arguments, cwd=tmp_path, code=2)[2]
@@ -37,7 +37,7 @@ def memory_of(tmp_path, points, *command):
     study = (COINS, "--axis", 'metal="gold","tin"', "--axis", f"coins=1:{points // 200}:1", "--set", "n_sim=1")
     command = [*command[:1], *study, "--axis", "chance=0.2:0.794:0.006", *command[1:]]
     watched = watch([sys.executable, "-m", "linksweep", *command], tmp_path)
-    return max(own for _, own in watched.own_bytes) / 2**20, watched.peak_bytes / 2**20
+    return max(ours for _, ours in watched.own_bytes) / 2**20, watched.peak_bytes / 2**20
 
 
 @pytest.mark.slow

@@ -125,8 +125,8 @@ def test_quiet_prints_the_table_and_errors_and_verbose_each_point(run_f):
     assert (code, err, "f_mean" in out) == (0, "", True)
     code, _, err = run_f("-q", "--fresh")
     assert (code, len(err.splitlines()), err.startswith("1 point failed")) == (1, 1, True)
-    told = sorted(line for line in run_f("--verbose", "--fresh")[2].splitlines() if line.startswith("x="))
-    assert told == ["x=0.0: done", "x=1.0: done", "x=2.0: failed (exception)", "x=3.0: done", "x=4.0: done"]
+    report = sorted(line for line in run_f("--verbose", "--fresh")[2].splitlines() if line.startswith("x="))
+    assert report == ["x=0.0: done", "x=1.0: done", "x=2.0: failed (exception)", "x=3.0: done", "x=4.0: done"]
 
 
 def test_a_run_that_goes_on_counts_its_work_as_its_points(run_f, sweep_here, tmp_path, monkeypatch):
@@ -263,9 +263,9 @@ def test_the_most_failures_that_are_allowed(tmp_path, most, failed):
 
     with nullcontext() if failed == 50 else pytest.raises(TooManyFailuresError, match=r"stopped: .* failed, more than"):
         linksweep.run(late, tmp_path / "s.zarr", axes={"x": range(100)}, pool="serial", max_failures=most)
-    found = status_report(tmp_path / "s.zarr")["points"]
-    assert found["done"] == 50
-    assert 20 < found["failed"] < 50 if failed is None else found["failed"] == failed
+    result = status_report(tmp_path / "s.zarr")["points"]
+    assert result["done"] == 50
+    assert 20 < result["failed"] < 50 if failed is None else result["failed"] == failed
 
 
 @pytest.mark.parametrize("wrong", ["-1", "101%", "many", "", "1.5", "5 %%"])

@@ -108,7 +108,7 @@ class Sweeps:
                 shutil.rmtree(left)
             assert self.now() == self.expected()
             return
-        held, before = {point: self.result(point, version) for point, version in self.ledger.items()}, self.expected()
+        stored, before = {point: self.result(point, version) for point, version in self.ledger.items()}, self.expected()
 
         def between():
             if (self.store / "zarr.json").exists():
@@ -117,7 +117,7 @@ class Sweeps:
                 kept = {point for point in before if point not in again and (not only or point in points)}
                 assert all(now.get(point) == before[point] for point in kept if now), "a kill loses nothing"
                 new = {point: self.result(point, self.version) for point in points | again}
-                assert all(result in (held.get(p), new.get(p)) for p, result in now.items())
+                assert all(result in (stored.get(p), new.get(p)) for p, result in now.items())
 
         part, _ = until_done(self.left, kill, call, between)
         for point in [*again, *points]:
@@ -168,7 +168,7 @@ def as_lists(results):
 
 
 def found_in(dataset, constants):
-    found, dims = {}, dataset.status.dims
+    actual, dims = {}, dataset.status.dims
     coords = {name: one for name, one in dataset.coords.items() if one.dims[0] in dims}
     along = {name: (dims.index(one.dims[0]), one.values.tolist()) for name, one in coords.items()}
     left_out = ("status", "code", "wall_time", "n_sim_done", "value_samples")
@@ -177,8 +177,8 @@ def found_in(dataset, constants):
         values = {**DEFAULTS, **constants, **{name: there[place[axis]] for name, (axis, there) in along.items()}}
         lists = as_lists({name: array[place] for name, array in arrays.items()})
         key = tuple(values[name] for name in ("x", "y", "name"))
-        found[key] = {name: value for name, value in lists.items() if not name.endswith("_length")}
-    return found
+        actual[key] = {name: value for name, value in lists.items() if not name.endswith("_length")}
+    return actual
 
 
 def some(values):

@@ -113,15 +113,15 @@ def matched(stars, catalogues):
 def test_nothing_is_matched_twice_and_the_order_of_rows_does_not_matter(a, b, c, random):
     tables = list({point[:2]: point for point in a}.values()), b, c
     both = tables, [random.sample(table, len(table)) for table in tables]
-    found, again = (matched(on_grid(s).positions, [on_grid(one, 2.5), on_grid(other, 1.2)]) for s, one, other in both)
-    assert found == again
+    result, again = (matched(on_grid(s).positions, [on_grid(one, 2.5), on_grid(other, 1.2)]) for s, one, other in both)
+    assert result == again
 
 
 @pytest.mark.parametrize(("catalogues", "merge", "labels", "identifiers"), MERGED)
 def test_entries_of_several_catalogues_are_one_galaxy(catalogues, merge, labels, identifiers):
     listed = [catalogue(positions(ra, np.zeros(len(ra))), radius, names) for ra, radius, names in catalogues]
-    found, names = crossmatch.merge_galaxies(listed, None if merge is None else merge * ARCSEC)
-    assert ([label.tolist() for label in found], names.tolist()) == (labels, identifiers)
+    result, names = crossmatch.merge_galaxies(listed, None if merge is None else merge * ARCSEC)
+    assert ([label.tolist() for label in result], names.tolist()) == (labels, identifiers)
 
 
 def test_each_rule_of_the_classes_in_a_search():

@@ -148,9 +148,9 @@ def test_gaia_identifiers_are_carried_and_missing_proper_motions_may_be_zero(fol
     table.write("stars.fits", overwrite=True)
     said = json.loads(run(*ARGUMENTS, "--missing-pm", "zero", "--json").stdout)["notes"]
     assert said == ["stars of stars without a proper motion, which was taken as zero: 1"]
-    found = read_matches(folder / "results" / "matches.ecsv")
-    assert (found["source_id"].tolist(), "phot_g_mean_mag" in found.colnames) == ([ids[3], ids[0], ids[1]], True)
-    assert found["star_pmra"].mask.tolist() == [False, True, False]
+    actual = read_matches(folder / "results" / "matches.ecsv")
+    assert (actual["source_id"].tolist(), "phot_g_mean_mag" in actual.colnames) == ([ids[3], ids[0], ids[1]], True)
+    assert actual["star_pmra"].mask.tolist() == [False, True, False]
 
 
 @pytest.mark.slow

@@ -80,8 +80,8 @@ def test_killed_before_any_operation_it_goes_on(what, where, step, request, tmp_
     for number in itertools.count(1, step):
         store = f"{base}/{number}.zarr"
         often = {"flush_every_s": -1.0}
-        found, killed = opening.until_done(left, number, lambda: run(document, store, tuning=often), between)  # noqa: B023
-        same(found, wanted)
+        actual, killed = opening.until_done(left, number, lambda: run(document, store, tuning=often), between)  # noqa: B023
+        same(actual, wanted)
         assert not check(store).remarks + sorted(named(check(store)))
         assert not {file for file in files_of(store) if file.startswith("blocks/")} - in_use(store)
         if not killed:
@@ -109,8 +109,8 @@ def history(request, place, tmp_path, monkeypatch):
         def advance(self, works, result, taken):
             writings.append(files_of(place))
 
-    for given in axes:
-        document = document | {"axes": given}
+    for options in axes:
+        document = document | {"axes": options}
         run(document, place, {"most_blocks": 2, "flush_every_s": -1.0}, progress=Keeping())
         writings.append(files_of(place))
     return document, place, writings, linksweep.open(place)
@@ -188,9 +188,9 @@ def test_whatever_happens_to_its_files_is_named_and_mended(history, step, trials
         is_told(store, differing & used, wanted, sweep)
         if is_one and (report.identity or report.ledger):
             [file] = differing
-            with pytest.raises(linksweep.SweepError, match=r"damaged .*`sweep check .* --repair") as told:
+            with pytest.raises(linksweep.SweepError, match=r"damaged .*`sweep check .* --repair") as raised:
                 run(document, store)
-            assert any(file in problem for problem in told.value.problems), file
+            assert any(file in problem for problem in raised.value.problems), file
             assert repair(store)
             assert file not in changed or located(f"{store}.damaged").get(file) == changed[file]
             after = check(store)
@@ -205,12 +205,12 @@ def test_whatever_happens_to_its_files_is_named_and_mended(history, step, trials
 def is_told(store, differing, wanted, sweep):
     problems = []
     try:
-        found = linksweep.open(store)
-        done, there = found.status.values == 1, wanted.sel({axis: found[axis] for axis in found.status.dims})
+        actual = linksweep.open(store)
+        done, there = actual.status.values == 1, wanted.sel({axis: actual[axis] for axis in actual.status.dims})
         assert (there.status.values[done] == 1).all()
-        for name in found.data_vars.keys() & wanted.keys() - {"status"}:
-            np.testing.assert_array_equal(found[name].values[done], there[name].values[done])
-            assert found[name].attrs == wanted[name].attrs
+        for name in actual.data_vars.keys() & wanted.keys() - {"status"}:
+            np.testing.assert_array_equal(actual[name].values[done], there[name].values[done])
+            assert actual[name].attrs == wanted[name].attrs
     except linksweep.SweepError as error:
         problems = error.problems
     code, out, err = sweep("status", store, "--json")
@@ -221,7 +221,7 @@ def is_told(store, differing, wanted, sweep):
         kept = {file for file in differing if file.startswith("blocks/")}
         read = {file for file in kept if not file.startswith(("blocks/samples", "blocks/large"))}
         assert "zarr.json" in differing or not read | {file for file in kept if located(store).get(file) is None}
-    assert "zarr.json" in differing or all(any(file in told for file in differing) for told in problems)
+    assert "zarr.json" in differing or all(any(file in raised for file in differing) for raised in problems)
 
 
 def test_files_of_a_store_that_was_begun_anew_or_has_another_history_do_not_count(tmp_path, monkeypatch):

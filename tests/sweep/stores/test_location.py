@@ -217,9 +217,9 @@ def test_who_has_it_is_told_until_that_process_is_killed(place, start_sweep, mon
     first = holder(place)
     assert first.pid == process.pid
     for break_lock in (False, True):  # never broken while its holder is known to run
-        with pytest.raises(SweepError, match=rf"is being written by process {process.pid} on .*, since 20.*") as told:
+        with pytest.raises(SweepError, match=rf"is being written by process {process.pid} on .*, since 20.*") as raised:
             can_be_taken(place, break_lock=break_lock)
-        assert told.value.where == place
+        assert raised.value.where == place
     assert process.poll() is None
     process.kill()
     os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)

@@ -136,9 +136,9 @@ def test_a_reader_sees_one_writing_or_another_or_is_told(path, coins, monkeypatc
             refused += error.problems
             continue
         values, done = dataset["value"].values, dataset["status"].values == 1
-        found = {*np.unique(values[done]), *dataset["again"].values.ravel(), int(dataset.attrs["turn"])}
-        assert (len(found), np.isnan(values[~done]).all()) == (1, True)
-        seen |= found
+        actual = {*np.unique(values[done]), *dataset["again"].values.ravel(), int(dataset.attrs["turn"])}
+        assert (len(actual), np.isnan(values[~done]).all()) == (1, True)
+        seen |= actual
     assert len(seen) > 10
     assert ["written faster than it can be read" in problem for problem in refused] == [True] * max(len(refused), 1)
 
@@ -270,12 +270,12 @@ def test_a_run_whose_store_is_lost_says_so_and_keeps_what_was_computed(path, mon
     for name, value in OFTEN.items():
         monkeypatch.setattr(opening.TUNED, name, value)
     how = {"axes": {"x": range(1, 10)}, "pool": "serial"}
-    with pytest.raises(SweepError, match=lost) if lost else nullcontext() as told:
+    with pytest.raises(SweepError, match=lost) if lost else nullcontext() as raised:
         linksweep.run(model, path.name, progress=Losing(), **how)
-    if told is None:  # the last write has set it right
+    if raised is None:  # the last write has set it right
         assert (bool(check(path)), linksweep.open(path).attrs["complete"]) == (False, 1)
         return
-    assert "s.zarr.rescued" in str(told.value)
+    assert "s.zarr.rescued" in str(raised.value)
     kept = linksweep.open(f"{path}.rescued")
     done = kept.isel(x=kept.status.values == 1)
     assert done.sizes["x"] >= 3

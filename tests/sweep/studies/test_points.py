@@ -82,9 +82,9 @@ def test_a_table_is_the_same_whatever_holds_it(kind, tmp_path, read):
     for name, write in (("csv", FRAME.to_csv), ("parquet", FRAME.to_parquet)):
         write(tmp_path / f"t.{name}", index=False)
     hourly.write(tmp_path / "t.ecsv")
-    held = {"frame": FRAME, "table": Table(COLUMNS, units={"beta": "1/d"})}
-    held["arrays"] = {name: np.array(values) for name, values in COLUMNS.items()}
-    columns = read(held.get(kind, path))
+    kept = {"frame": FRAME, "table": Table(COLUMNS, units={"beta": "1/d"})}
+    kept["arrays"] = {name: np.array(values) for name, values in COLUMNS.items()}
+    columns = read(kept.get(kind, path))
     assert columns == COLUMNS | {"beta": pytest.approx(COLUMNS["beta"], rel=1e-15)}  # of hours into days
 
 
@@ -135,8 +135,8 @@ ALL_WRONG = [
 
 @pytest.mark.parametrize(("function", "tables", "problem"), ALL_WRONG)
 def test_what_is_wrong_or_in_two_places_is_told_by_name_and_row(function, tables, problem, problems_of):
-    [found] = problems_of(tables.pop("points", None), function, **tables)
-    assert problem in found
+    [actual] = problems_of(tables.pop("points", None), function, **tables)
+    assert problem in actual
 
 
 @pytest.mark.parametrize(("text", "problem"), CELLS)
@@ -194,14 +194,14 @@ def test_whatever_carries_a_unit_becomes_numbers_in_that_of_the_parameter(functi
 def test_a_column_in_another_unit_has_gaps_and_the_numbers_of_the_parameter(kind, tmp_path, read):
     names = "distance [cm],n\n" if kind == "name" else "distance,n\ncm,\n"
     (tmp_path / "t.csv").write_text(f"{names}1.1,1\n,2\n{LONG},3\n")
-    held = {
+    kept = {
         "columns": {"columns": {"distance": [1.1, None, LONG], "n": [1, 2, 3]}, "units": {"distance": "cm"}},
         "nan": QTable({"distance": [1.1, np.nan, LONG] * u.cm, "n": [1, 2, 3]}),
         "array": {"distance": [1.1, np.nan, LONG] * u.cm, "n": [1, 2, 3]},
         "masked": Table({"distance": MaskedColumn([1.1, 2, LONG], mask=[0, 1, 0], unit="cm"), "n": [1, 2, 3]}),
     }.get(kind, tmp_path / "t.csv")
-    found = read(held, perhaps_far, when={"distance": {"n": [*map(u.Quantity, (1, 2, 3))]}})["distance"]
-    assert found == ["0.011", "nan" if kind == "array" else "None", "0.8685482395804122"]
+    actual = read(kept, perhaps_far, when={"distance": {"n": [*map(u.Quantity, (1, 2, 3))]}})["distance"]
+    assert actual == ["0.011", "nan" if kind == "array" else "None", "0.8685482395804122"]
 
 
 def dated(day: datetime.date, k: list):

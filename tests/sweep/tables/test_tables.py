@@ -154,13 +154,13 @@ def test_rows_of_texts_are_no_units(first, below, tmp_path):
 def test_units_in_names_and_errors_of_parts_are_found(tmp_path):
     text = "Name (old),RA [deg],Dec (J2016.0),RA_err (uas),e_DE,pmRA [arcsec/century]\nA,10.5,20,3,4,1\n"
     read = Columns(read_table(written(tmp_path, "t.csv", text)))
-    found = [read.quantity(name)[0] for name in ("ra", "dec", "ra_error", "dec_error", "pmra")]
-    np.testing.assert_allclose(found, [10.5, 20.0, 0.003, 4.0, np.nan])
+    result = [read.quantity(name)[0] for name in ("ra", "dec", "ra_error", "dec_error", "pmra")]
+    np.testing.assert_allclose(result, [10.5, 20.0, 0.003, 4.0, np.nan])
     assert read.problems == ["column 'pmRA [arcsec/century]' is in arcsec/century, not convertible to mas / yr"]
     text = "Name RAh RAm RAs DE- DEd DEm DEs e_RAs e_DEs\nA 01 00 00.0 - 30 00 00.0 0.001 0.02\n"
     read = Columns(read_table(written(tmp_path, "t.txt", text)))
-    found = [read.quantity(name)[0] for name in ("ra", "dec", "ra_error", "dec_error")]
-    np.testing.assert_allclose(found, [15.0, -30.0, 15.0 * np.cos(np.radians(30.0)), 20.0])
+    result = [read.quantity(name)[0] for name in ("ra", "dec", "ra_error", "dec_error")]
+    np.testing.assert_allclose(result, [15.0, -30.0, 15.0 * np.cos(np.radians(30.0)), 20.0])
     with pytest.raises(SweepError, match="no column DE- of signs"):
         read_table(written(tmp_path, "t.txt", text.replace("DE- ", "").replace("- ", "")))
     Table({"at": SkyCoord([15.0], [-30.0], unit="deg").galactic}).write(tmp_path / "sky.ecsv")
@@ -202,10 +202,10 @@ def test_floats_are_read_to_the_last_bit_and_ecsv_is_what_astropy_reads(tmp_path
     table = Table({"id": np.array([2**62 + 1, 2]), "ra": [1.5, np.nan], "name": ["a b", "#2"], "ok": [True, False]})
     table["ra"].unit, table["ra"].description, table.meta["by"] = u.deg, "right", "hand"
     table.write(tmp_path / "of_kinds.ecsv")
-    found = read_table(tmp_path / "of_kinds.ecsv")
-    assert [found[n].dtype for n in found.colnames] == [table[n].dtype for n in table.colnames]
-    assert (found["id"].tolist(), list(found["name"])) == ([2**62 + 1, 2], ["a b", "#2"])
-    assert (found["ra"].unit, found["ra"].description, found.meta["by"]) == (u.deg, "right", "hand")
+    result = read_table(tmp_path / "of_kinds.ecsv")
+    assert [result[n].dtype for n in result.colnames] == [table[n].dtype for n in table.colnames]
+    assert (result["id"].tolist(), list(result["name"])) == ([2**62 + 1, 2], ["a b", "#2"])
+    assert (result["ra"].unit, result["ra"].description, result.meta["by"]) == (u.deg, "right", "hand")
 
 
 GAIA = "# %ECSV 1.0\n# ---\n# delimiter: ','\n# datatype:\n# - {name: ra, unit: deg, datatype: float64}\n"
@@ -218,25 +218,25 @@ GAPS += [(GAIA, {"ra": [1.5, None], "n": [None, 3]}), ("city\nNew York\nBonn\n",
 
 @pytest.mark.parametrize(("text", "columns"), GAPS)
 def test_gaps_are_kept_and_large_identifiers_beside_them(text, columns, tmp_path):
-    found = read_table(written(tmp_path, "GaiaSource.csv.gz", gzip.compress(text.encode())))
-    assert {name: found[name].tolist() for name in found.colnames} == columns
+    result = read_table(written(tmp_path, "GaiaSource.csv.gz", gzip.compress(text.encode())))
+    assert {name: result[name].tolist() for name in result.colnames} == columns
 
 
 def test_parquet_has_its_gaps_and_that_of_astropy_its_masks_and_times(tmp_path):
     columns = {"id": [2**62 + 1, None], "ra": [None, 2.5], "name": ["a", None], "ok": [True, None]}
     parquet.write_table(pa.table(columns), tmp_path / "gaps.parquet")
-    found = read_table(tmp_path / "gaps.parquet")
-    assert {name: found[name].tolist() for name in found.colnames} == columns
+    result = read_table(tmp_path / "gaps.parquet")
+    assert {name: result[name].tolist() for name in result.colnames} == columns
     table = Table({"id": [2**62 + 1, 7], "ra": [99.0, 2.5], "name": ["x", "b"]}, masked=True)
     table["ra"].unit = u.deg
     table["id"].mask[1] = table["ra"].mask[0] = table["name"].mask[0] = True
     table["t"] = Time([2016.0, 2017.0], format="jyear")
     table.write(tmp_path / "t.parquet")
     names = row_groups(tmp_path / "t.parquet")[1].colnames
-    for found in (read_table(tmp_path / "t.parquet"), read_row_group(tmp_path / "t.parquet", 0, names)):
-        assert found.colnames == ["id", "ra", "name", "t"]
-        assert [found[n].tolist() for n in names[:3]] == [[2**62 + 1, None], [None, 2.5], [None, "b"]]
-        assert (found["ra"].unit, found["t"].jyear.tolist()) == (u.deg, [2016.0, 2017.0])
+    for result in (read_table(tmp_path / "t.parquet"), read_row_group(tmp_path / "t.parquet", 0, names)):
+        assert result.colnames == ["id", "ra", "name", "t"]
+        assert [result[n].tolist() for n in names[:3]] == [[2**62 + 1, None], [None, 2.5], [None, "b"]]
+        assert (result["ra"].unit, result["t"].jyear.tolist()) == (u.deg, [2016.0, 2017.0])
     assert read_row_group(tmp_path / "t.parquet", 0, ["ra"])["ra"].tolist() == [None, 2.5]
     arrow = parquet.read_table(tmp_path / "t.parquet")
     twice = pa.concat_tables([arrow, arrow.select(["ra"])], promote_options="default")
@@ -274,9 +274,9 @@ def read(quantity, values, unit=None, name=None, stated=None, **further):
     table[name or quantity].unit = unit
     columns = {} if name is None else {quantity: name}
     reader = Columns(table, "t", columns, {} if stated is None else {quantity: stated}, (quantity,))
-    found = reader.quantity(quantity)
+    result = reader.quantity(quantity)
     reader.finish()
-    return found
+    return result
 
 
 def test_sexagesimal_angles():

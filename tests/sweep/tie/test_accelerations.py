@@ -64,8 +64,8 @@ def test_rows_of_each_model_are_read(tmp_path, form, ending):
     made, accelerations, covariance, sizes = drawn(9, 1)
     read = read_table(satellite_table(tmp_path / f"dr4.{ending}", made, accelerations, covariance, sizes, form))
     np.testing.assert_allclose(read.astrometry.further[0, :4], accelerations, rtol=1e-12)
-    found = read.astrometry.covariance()[:, :9, :9]
-    np.testing.assert_allclose(found, covariance, rtol=1e-9, atol=1e-12 * covariance.max())
+    result = read.astrometry.covariance()[:, :9, :9]
+    np.testing.assert_allclose(result, covariance, rtol=1e-9, atol=1e-12 * covariance.max())
     assert any("3 of 5, 3 of 7, 3 of 9" in note for note in read.notes)
     if form == "text":  # a missing number has its place
         before, _, rest = (tmp_path / "dr4.csv").read_text().partition("[")
@@ -79,8 +79,8 @@ def test_rows_of_each_model_are_read(tmp_path, form, ending):
             table[column], units[column] = 1000.0 * table[column], "uas/yr2"
         table.write(tmp_path / "wrong.ecsv")
         assert sum("is its unit right" in note for note in read_table(tmp_path / "wrong.ecsv").notes) == 2
-        found = read_table(tmp_path / "wrong.ecsv", TableOptions(units=units)).astrometry
-        np.testing.assert_allclose(found.further, read.astrometry.further, rtol=1e-12)
+        result = read_table(tmp_path / "wrong.ecsv", TableOptions(units=units)).astrometry
+        np.testing.assert_allclose(result.further, read.astrometry.further, rtol=1e-12)
 
 
 def path(star, accelerations, years):
@@ -97,22 +97,22 @@ def path(star, accelerations, years):
 def made_link(folder, seed, n=12, epoch=2017.5, change=None, **options):
     rng = np.random.default_rng(seed)
     made, accelerations, covariance, sizes = drawn(n, seed, epoch=epoch)
-    own = replace(made, values=seen_by_satellite(made, EPSILON + OMEGA * (epoch - 2016.0), OMEGA))
+    ours = replace(made, values=seen_by_satellite(made, EPSILON + OMEGA * (epoch - 2016.0), OMEGA))
     errors = np.array([rng.multivariate_normal(np.zeros(9), one, method="eigh") for one in covariance]).T
     source, epochs = np.repeat(np.arange(n), 3), rng.uniform(2003.0, 2024.0, 3 * n)
     rows = replace(made.taken(source), radial_velocity=np.zeros(3 * n), epoch=epochs)
     truth = path(made.taken(source), accelerations[:, source], epochs - epoch)
     rows = replace(rows, values=truth + noise(rng, rows))
     rows = only(rows, (np.arange(5)[:, None] < 2) | (np.arange(3 * n) % 3 == 0))
-    shift = errors[:5] / np.array([np.cos(own.values[1]), *np.ones((4, n))])
-    own, accelerations = replace(own, values=own.values + shift), accelerations + errors[5:]
+    shift = errors[:5] / np.array([np.cos(ours.values[1]), *np.ones((4, n))])
+    ours, accelerations = replace(ours, values=ours.values + shift), accelerations + errors[5:]
     if change is not None:
         accelerations = change(accelerations)
-    satellite = satellite_table(folder / "satellite.fits", own, accelerations, covariance, sizes)
+    satellite = satellite_table(folder / "satellite.fits", ours, accelerations, covariance, sizes)
     reference = gaia(folder / "reference.fits", rows, source_id=source + 10**17)
     options = {"epoch": 2016.0, "positions": "mean", "accept_misfit": True} | options
     link = linksweep.tie(satellite, reference, "orientation,spin", **options)
-    tables = {"own": own, "rows": rows, "source": source, "covariance": covariance}
+    tables = {"ours": ours, "rows": rows, "source": source, "covariance": covariance}
     return link, SimpleNamespace(**tables, accelerations=accelerations, sizes=sizes)
 
 
@@ -142,20 +142,20 @@ def test_the_mean_motions_of_dr3_are_those_of_its_polynomials(tmp_path):
     link = linksweep.tie(path, reference, "orientation,spin")
     np.testing.assert_allclose(link.estimate, 0.0, atol=1e-4)
     assert any("averages, as in DR3" in note for note in link.attrs["notes"])
-    own = linksweep.tie(path, reference, "orientation,spin", accelerations="at-epoch", accept_misfit=True)
-    assert np.abs(own.estimate).max() > 0.01
+    ours = linksweep.tie(path, reference, "orientation,spin", accelerations="at-epoch", accept_misfit=True)
+    assert np.abs(ours.estimate).max() > 0.01
 
 
 def test_accelerations_of_a_reference_leave_its_five_parameters(tmp_path):
     made, accelerations, covariance, sizes = drawn(9, 9)
-    own = gaia(tmp_path / "own.fits", replace(made, values=seen_by_satellite(made, EPSILON, OMEGA)))
+    ours = gaia(tmp_path / "own.fits", replace(made, values=seen_by_satellite(made, EPSILON, OMEGA)))
     reference = satellite_table(tmp_path / "nss.fits", made, accelerations, covariance, sizes)
-    link = linksweep.tie(own, reference, "orientation,spin")
+    link = linksweep.tie(ours, reference, "orientation,spin")
     assert any("accelerations in nss.fits are not compared" in note for note in link.attrs["notes"])
     table = Table.read(reference)
     table.remove_columns([name for name in table.colnames if "accel" in name])
     table.write(tmp_path / "five.fits")
-    same = linksweep.tie(own, tmp_path / "five.fits", "orientation,spin")
+    same = linksweep.tie(ours, tmp_path / "five.fits", "orientation,spin")
     np.testing.assert_array_equal(link.estimate, same.estimate)
 
 
@@ -167,10 +167,14 @@ def test_an_accelerated_satellite_in_a_forecast_and_in_draws(tmp_path):
     assert np.all(np.diff(plan.error.sel(unknown="omega_x")) < 0.0)
     powers = np.array([*[0.5] * 3, 1.5, 1.5, 2.5, 2.5, 3.5, 3.5])  # from DR4, errors by T^-1/2 and so on
     shrunk = (66.0 / 126.0) ** powers
-    later = replace(made.own, epoch=np.full(12, 2020.0)), made.accelerations, made.covariance * np.outer(shrunk, shrunk)
+    later = (
+        replace(made.ours, epoch=np.full(12, 2020.0)),
+        made.accelerations,
+        made.covariance * np.outer(shrunk, shrunk),
+    )
     by_hand = satellite_table(tmp_path / "dr5.fits", *later, made.sizes)
-    found = linksweep.forecast(by_hand, tables[1], "orientation,spin", **options).error[0]
-    np.testing.assert_allclose(plan.error.sel(stage="dr5"), found, rtol=1e-9)
+    result = linksweep.forecast(by_hand, tables[1], "orientation,spin", **options).error[0]
+    np.testing.assert_allclose(plan.error.sel(stage="dr5"), result, rtol=1e-9)
     fixed = {"satellite": str(tables[0]), "reference": str(tables[1])} | options
     study = {"experiment": TIE, "fixed": fixed, "axes": {"correlations": [True, False]}, "sampling": {"n_sim": 300}}
     drawn_links = linksweep.run(study, tmp_path / "s.zarr", pool="serial")

@@ -34,8 +34,8 @@ def drawn_tables(folder, seed, n=12, free=2, scale=1.0, far=(), coarse=(), calib
     alone = [made.taken(np.array([s])) for s in range(n)]
     turn = [EPSILON + OMEGA * (year - 2016.0) for year in epoch]
     seen = [seen_by_satellite(one, by, OMEGA) for one, by in zip(alone, turn, strict=True)]
-    own = replace(made, values=np.concatenate(seen, axis=1) + scale * noise(rng, made))
-    own = only(own, (np.arange(5)[:, None] < 2) | (np.arange(n) < n - free))
+    ours = replace(made, values=np.concatenate(seen, axis=1) + scale * noise(rng, made))
+    ours = only(ours, (np.arange(5)[:, None] < 2) | (np.arange(n) < n - free))
     kinds = [["position"] * 3 if s >= n - free else KINDS_OF_ROWS[s % 3] for s in range(n)]
     kinds = [(s, kind) for s in range(n) for kind in kinds[s]]
     kinds = [kinds[k] for k in rng.permutation(len(kinds))]  # rows of a source are apart, and no column is sorted
@@ -50,9 +50,9 @@ def drawn_tables(folder, seed, n=12, free=2, scale=1.0, far=(), coarse=(), calib
     names = np.where(np.isfinite(rows.errors[0]), rng.choice(calibrators, size), "")
     shared = np.where(names == "", 0.0, rng.uniform(0.1, 1.0, size))
     columns = {"calibrator": names, "calibrator_error": np.where(names == "", 0.5, shared)} if any(calibrators) else {}
-    paths = {"satellite": gaia(folder / "satellite.fits", own)}
+    paths = {"satellite": gaia(folder / "satellite.fits", ours)}
     paths["reference"] = gaia(folder / "reference.fits", rows, source_id=source + 10**17, **columns)
-    return SimpleNamespace(**paths, own=own, rows=rows, source=source, names=names, shared=shared)
+    return SimpleNamespace(**paths, ours=ours, rows=rows, source=source, names=names, shared=shared)
 
 
 def turned(ra, dec):
@@ -71,16 +71,16 @@ def motion(years):
 
 def pieces_of(tables, difference, epoch=2016.0):
     """Yield y, A, B, and the covariance of e, of y = A x + B z + e (mas) of each source; the satellite lacks z."""
-    own, rows = tables.own, tables.rows
-    covariance = np.zeros((len(own), 9, 9))
-    covariance[:, :5, :5] = own.covariance()
+    ours, rows = tables.ours, tables.rows
+    covariance = np.zeros((len(ours), 9, 9))
+    covariance[:, :5, :5] = ours.covariance()
     covariance = getattr(tables, "covariance", covariance) / MAS**2
-    for s in range(len(own)):
-        r, design = turned(*own.values[:2, s]), np.zeros((9, 6))
-        design[:2, :3], design[:2, 3:], design[3:5, 3:] = r, (own.epoch[s] - epoch) * r, r
+    for s in range(len(ours)):
+        r, design = turned(*ours.values[:2, s]), np.zeros((9, 6))
+        design[:2, :3], design[:2, 3:], design[3:5, 3:] = r, (ours.epoch[s] - epoch) * r, r
         seen = [(k, np.flatnonzero(np.isfinite(rows.errors[:, k]))) for k in np.flatnonzero(tables.source == s)]
-        m = np.concatenate([motion(rows.epoch[k] - own.epoch[s])[at] for k, at in seen])
-        b = m[:, np.flatnonzero(np.isnan(own.errors[:, s]))]
+        m = np.concatenate([motion(rows.epoch[k] - ours.epoch[s])[at] for k, at in seen])
+        b = m[:, np.flatnonzero(np.isnan(ours.errors[:, s]))]
         v = block_diag(*(rows.covariance()[k][np.ix_(at, at)] / MAS**2 for k, at in seen))
         y, b = np.concatenate([difference[k, at] for k, at in seen]), b[:, np.any(b != 0.0, axis=0)]  # not by parallax
         observed = [(k, parameter) for k, at in seen for parameter in at]
@@ -89,7 +89,7 @@ def pieces_of(tables, difference, epoch=2016.0):
 
 def least_squares(tables, difference, weights, factor, resamples=2):
     """Everything of a solution for orientation and spin from full matrices, weights of sources times their factors."""
-    pieces, n, rng = list(pieces_of(tables, difference)), len(tables.own), np.random.default_rng(1)
+    pieces, n, rng = list(pieces_of(tables, difference)), len(tables.ours), np.random.default_rng(1)
     plain = []
     for one in pieces:
         d, b = one.d, one.b
@@ -117,24 +117,26 @@ def least_squares(tables, difference, weights, factor, resamples=2):
 
     alone = np.full((n, 6), np.nan)
     alone[used] = [solution(np.arange(n) != s) for s in used]
-    ra, dec = tables.own.values[:2]  # cells are six bands of equal height in sin(dec), each of twelve steps in ra
+    ra, dec = tables.ours.values[:2]  # cells are six bands of equal height in sin(dec), each of twelve steps in ra
     cell = 12 * np.floor(3.0 * (np.sin(dec) + 1.0)) + np.floor(ra * 6.0 / np.pi)
     scores = np.array([one.a.T @ g @ residual[p] for one, g, p in zip(pieces, w, places, strict=True)])[used]
     formal = to_x @ big_d @ to_x.T
     chi2, expected = residual @ big_w @ residual, np.trace(big_w @ of_residuals)
     dof = sum(c for c, f in zip(count, factor, strict=True) if f > 0.0) - 6
-    found = {"x": x, "chi2": chi2, "expected": expected, "dof": dof, "formal": formal, "count": np.array(count)}
-    found |= {"scaled": formal * chi2 / expected, "jackknife": scatter(alone[used])}
-    found["cells"] = scatter([solution(cell != one) for one in np.unique(cell[used])])
-    found["bootstrap"] = np.cov(np.transpose([solution(rng.integers(0, n, n)) for _ in range(resamples)]))
-    found["sandwich"] = inverse @ (scores.T @ scores) @ inverse * len(used) / (len(used) - 1)
-    found |= {"without": alone, "cook": np.einsum("sk,kl,sl->s", alone - x, total, alone - x) / 6.0}
+    result = {"x": x, "chi2": chi2, "expected": expected, "dof": dof, "formal": formal, "count": np.array(count)}
+    result |= {"scaled": formal * chi2 / expected, "jackknife": scatter(alone[used])}
+    result["cells"] = scatter([solution(cell != one) for one in np.unique(cell[used])])
+    result["bootstrap"] = np.cov(np.transpose([solution(rng.integers(0, n, n)) for _ in range(resamples)]))
+    result["sandwich"] = inverse @ (scores.T @ scores) @ inverse * len(used) / (len(used) - 1)
+    result |= {"without": alone, "cook": np.einsum("sk,kl,sl->s", alone - x, total, alone - x) / 6.0}
     each = list(zip(plain, places, strict=True))
-    found["discrepancy"] = np.array([residual[p] @ g @ residual[p] for g, p in each])
-    found["discrepancy_expected"] = np.array([np.trace(g @ of_residuals[p, p]) for g, p in each])
+    result["discrepancy"] = np.array([residual[p] @ g @ residual[p] for g, p in each])
+    result["discrepancy_expected"] = np.array([np.trace(g @ of_residuals[p, p]) for g, p in each])
     blocks = slice(0, 3), slice(3, 6)
-    found["share"] = np.array([[np.trace(np.linalg.inv(total[b, b]) @ m[b, b]) / 3.0 for b in blocks] for m in normals])
-    return SimpleNamespace(**found, residual=residual, error=np.sqrt(np.diag(big_d)))
+    result["share"] = np.array(
+        [[np.trace(np.linalg.inv(total[b, b]) @ m[b, b]) / 3.0 for b in blocks] for m in normals]
+    )
+    return SimpleNamespace(**result, residual=residual, error=np.sqrt(np.diag(big_d)))
 
 
 def linked(tables, **options):
@@ -144,30 +146,30 @@ def linked(tables, **options):
 
 def compare(link, tables, weights, sign=1.0):
     resamples = 1000 if "bootstrap" in link.error_kind else 2
-    found = least_squares(tables, sign * link.difference.values, weights, link.weight_factor.values, resamples)
+    result = least_squares(tables, sign * link.difference.values, weights, link.weight_factor.values, resamples)
     kept, order = link.weight_factor.values > 0.0, np.argsort(tables.source, kind="stable")
     for kind in map(str, link.error_kind.values):
-        expected, got = getattr(found, kind), link.covariances.sel(error_kind=kind).values
+        expected, got = getattr(result, kind), link.covariances.sel(error_kind=kind).values
         rtol = 0.2 if kind == "bootstrap" else 5e-5  # of other random numbers
         np.testing.assert_allclose(link.errors.sel(error_kind=kind), np.sqrt(np.diag(expected)), rtol=rtol)
         if kind != "bootstrap":
             np.testing.assert_allclose(got, expected, rtol=1e-4, atol=1e-5 * np.abs(expected).max(), err_msg=kind)
-    np.testing.assert_array_equal(link.n_observations, found.count)
+    np.testing.assert_array_equal(link.n_observations, result.count)
     np.testing.assert_allclose(link.share.values.sum(axis=0), 1.0)
     observed = {name: link[name].values[order] for name in ("residual", "difference_error")}
     observed = {name: values[np.isfinite(values)] for name, values in observed.items()}
     for got, expected, rtol, atol in (
-        (sign * link.estimate, found.x, 2e-5, 1e-6),
-        (link.chi2, found.chi2, 2e-5, 0.0),
-        (link.chi2_expected, found.expected, 2e-5, 0.0),
-        (link.dof, found.dof, 0.0, 0.0),
-        (sign * link.estimate_without[kept], found.without[kept], 1e-4, 1e-6),
-        (link.cook_distance[kept], found.cook[kept], 1e-3, 1e-8),
-        (link.discrepancy, found.discrepancy, 1e-4, 1e-5),
-        (link.discrepancy_expected, found.discrepancy_expected, 1e-4, 1e-5),
-        (link.share, found.share, 2e-5, 1e-9),
-        (sign * observed["residual"], found.residual, 1e-4, 1e-6),
-        (observed["difference_error"], found.error, 1e-4, 1e-6),
+        (sign * link.estimate, result.x, 2e-5, 1e-6),
+        (link.chi2, result.chi2, 2e-5, 0.0),
+        (link.chi2_expected, result.expected, 2e-5, 0.0),
+        (link.dof, result.dof, 0.0, 0.0),
+        (sign * link.estimate_without[kept], result.without[kept], 1e-4, 1e-6),
+        (link.cook_distance[kept], result.cook[kept], 1e-3, 1e-8),
+        (link.discrepancy, result.discrepancy, 1e-4, 1e-5),
+        (link.discrepancy_expected, result.discrepancy_expected, 1e-4, 1e-5),
+        (link.share, result.share, 2e-5, 1e-9),
+        (sign * observed["residual"], result.residual, 1e-4, 1e-6),
+        (observed["difference_error"], result.error, 1e-4, 1e-6),
     ):
         np.testing.assert_allclose(got, expected, rtol=rtol, atol=atol)
 
@@ -224,14 +226,14 @@ def test_what_a_clip_drops_has_no_part_in_the_rest(tmp_path, seed):
 def test_sources_that_say_nothing_change_nothing(tmp_path, clip):
     """Without a motion and with one row at another epoch a source has no observation left: no error counts it."""
     tables = drawn_tables(tmp_path, 1)
-    own, rows = tables.own, tables.rows
-    more = only(own.taken(np.arange(36) % 12), POSITION)
+    ours, rows = tables.ours, tables.rows
+    more = only(ours.taken(np.arange(36) % 12), POSITION)
     later = replace(more, epoch=more.epoch + 5.0)
     together = {}
-    for name, first, second in (("own", own, more), ("rows", rows, later)):
+    for name, first, second in (("own", ours, more), ("rows", rows, later)):
         both = replace(joined(first, second), radial_velocity=np.zeros(len(first) + 36), apparent=None)
-        of = np.arange(12) if name == "own" else tables.source
-        together[name] = gaia(tmp_path / f"{name}.ecsv", both, source_id=np.append(of, np.arange(12, 48)) + 10**17)
+        numbers = np.arange(12) if name == "own" else tables.source
+        together[name] = gaia(tmp_path / f"{name}.ecsv", both, source_id=np.append(numbers, np.arange(12, 48)) + 10**17)
     link = linked(SimpleNamespace(satellite=together["own"], reference=together["rows"]), errors=KINDS, clip=clip)
     plain = linked(tables, errors=KINDS, clip=clip)
     assert link.n_observations.values[12:].tolist() == [0.0] * 36
@@ -259,14 +261,14 @@ def test_sources_that_do_not_fit_into_memory_give_the_same_link(tmp_path, monkey
 def test_separations_and_the_clip_of_rayleigh(tmp_path, seed):
     """X and the separation of each row, as `weight` and `residuals` show them: of a position, else of a motion."""
     tables = drawn_tables(tmp_path, seed, n=20, far=(4,), coarse=(6, 8, 11))
-    link, own, rows = linked(tables, clip="rayleigh", known_spin=list(OMEGA / MAS)), tables.own, tables.rows
-    cov, own_cov, (x, apart) = rows.covariance() / MAS**2, own.covariance() / MAS**2, np.zeros((2, 20))
+    link, ours, rows = linked(tables, clip="rayleigh", known_spin=list(OMEGA / MAS)), tables.ours, tables.rows
+    cov, own_cov, (x, apart) = rows.covariance() / MAS**2, ours.covariance() / MAS**2, np.zeros((2, 20))
     for k, s in enumerate(tables.source):
-        partials, years = np.eye(5), rows.epoch[k] - own.epoch[s]
+        partials, years = np.eye(5), rows.epoch[k] - ours.epoch[s]
         partials[0, 3] = partials[1, 4] = years
         positions = np.isfinite(rows.errors[0, k])
         pair = [0, 1] if positions else [3, 4]
-        if np.isnan(own.errors[3, s]) and (years != 0.0 or not positions):
+        if np.isnan(ours.errors[3, s]) and (years != 0.0 or not positions):
             continue  # it depends on a motion that nobody knows
         d = link.difference.values[k, pair]
         whole = (cov[k] + partials @ own_cov[s] @ partials.T)[np.ix_(pair, pair)]
@@ -297,19 +299,19 @@ def test_jitter_is_what_one_would_add_by_hand(tmp_path, some):
     correlations = np.array([correlations[pair] for pair in PAIRS])
     by_hand = replace(rows, errors=np.where(present, sigma, np.nan), correlations=correlations)
     expected = gaia(tmp_path / "by_hand.ecsv", by_hand, source_id=tables.source + 10**17)
-    found = linked(tables, jitter=said)
+    result = linked(tables, jitter=said)
     other = linked(SimpleNamespace(satellite=tables.satellite, reference=expected))
     for name in ("estimate", "errors", "chi2", "discrepancy", "difference_error"):
-        np.testing.assert_allclose(found[name], other[name], rtol=1e-7, atol=1e-10, err_msg=name)
+        np.testing.assert_allclose(result[name], other[name], rtol=1e-7, atol=1e-10, err_msg=name)
 
 
 @pytest.mark.parametrize("errors", ["formal", "jackknife"])
 def test_powers_are_the_integrals_of_their_fields_over_the_sky(tmp_path, errors):
     """By quadrature that is exact for these degrees; the noise is the average power of the errors alone."""
-    own = stars(150, 3, pm=0.1)
-    path = gaia(tmp_path / "quasars.ecsv", own)
+    ours = stars(150, 3, pm=0.1)
+    path = gaia(tmp_path / "quasars.ecsv", ours)
     link = linksweep.tie(path, "zero-motion", "spin", degree=3, errors=errors, accept_misfit=True)
-    twice = linksweep.tie(gaia(path, own.taken(np.r_[:150, 3])), "zero-motion", "spin", accept_misfit=True)
+    twice = linksweep.tie(gaia(path, ours.taken(np.r_[:150, 3])), "zero-motion", "spin", accept_misfit=True)
     assert "row 151 of quasars.ecsv: the position of another row; both count" in twice.attrs["notes"]
     heights, of_heights = np.polynomial.legendre.leggauss(12)
     ra, dec = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False), np.arcsin(heights))

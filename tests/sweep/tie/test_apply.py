@@ -79,18 +79,18 @@ def test_from_fk5_to_hipparcos_as_erfa_does(tmp_path):
 
 def test_the_covariance_of_the_link_is_added(tmp_path):
     """Against derivatives by differences of the estimate, with an orientation at another epoch than the stars'."""
-    link, own = linked(tmp_path, EPSILON, OMEGA, epoch=2011.0), stars(12, 3, pm=5000.0)
-    table = gaia(tmp_path / "own.ecsv", own)
+    link, mine = linked(tmp_path, EPSILON, OMEGA, epoch=2011.0), stars(12, 3, pm=5000.0)
+    table = gaia(tmp_path / "own.ecsv", mine)
     linksweep.apply(link, table, tmp_path / "moved.ecsv")
     derivatives = []
     for step in 10.0 * np.eye(6):
         ends = [values_of(linksweep.apply(link.assign(estimate=link.estimate + s), table)) for s in (step, -step)]
         derivatives.append((ends[0] - ends[1]) / (20.0 * MAS))
-        derivatives[-1][0] *= np.cos(own.values[1])
+        derivatives[-1][0] *= np.cos(mine.values[1])
     jacobian = np.moveaxis(np.array(derivatives), 0, -1).swapaxes(0, 1)
-    expected = own.covariance() / MAS**2 + jacobian @ link.covariance.values @ jacobian.swapaxes(1, 2)
-    found = read_table(tmp_path / "moved.ecsv").astrometry.covariance() / MAS**2
-    np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-6)
+    expected = mine.covariance() / MAS**2 + jacobian @ link.covariance.values @ jacobian.swapaxes(1, 2)
+    result = read_table(tmp_path / "moved.ecsv").astrometry.covariance() / MAS**2
+    np.testing.assert_allclose(result, expected, rtol=1e-3, atol=1e-6)
 
 
 @pytest.mark.parametrize("both", [slow(False), True])
@@ -113,15 +113,15 @@ def test_only_covariances_of_what_is_turned_change_in_rows_with_accelerations(tm
         table = Table.read(moved)
         table.remove_columns([name for name in table.colnames if "corr" in name and name not in further])
         table.write(moved, overwrite=True)
-        found = read_table(moved).astrometry.covariance()[:, :5, :5]
-        np.testing.assert_allclose(found, after[:, :5, :5], rtol=1e-9, atol=1e-12 * after.max())
+        result = read_table(moved).astrometry.covariance()[:, :5, :5]
+        np.testing.assert_allclose(result, after[:, :5, :5], rtol=1e-9, atol=1e-12 * after.max())
 
 
 @pytest.mark.parametrize("has", [("ra_dec_corr",), ()])
 def test_correlations_without_a_column_are_named(tmp_path, has):
-    link, own = linked(tmp_path, EPSILON, OMEGA), Table.read(tmp_path / "satellite.ecsv")
-    own = own[[name for name in own.colnames if name in has or not name.endswith("_corr")]]
-    comments = linksweep.apply(link, own).meta["comments"]
+    link, mine = linked(tmp_path, EPSILON, OMEGA), Table.read(tmp_path / "satellite.ecsv")
+    mine = mine[[name for name in mine.colnames if name in has or not name.endswith("_corr")]]
+    comments = linksweep.apply(link, mine).meta["comments"]
     lost = re.findall(r"\w+_corr\b", next(note for note in comments if note.endswith("lost")))
     pairs = ("ra_dec", "ra_pmra", "ra_pmdec", "dec_pmra", "dec_pmdec", "pmra_pmdec")
     assert {*lost, *has} == {f"{pair}_corr" for pair in pairs}
@@ -131,10 +131,10 @@ def test_correlations_without_a_column_are_named(tmp_path, has):
 @pytest.mark.parametrize("low", [0.0, -180.0])
 def test_right_ascensions_stay_in_the_range_of_the_table(tmp_path, turn, low):
     link = linked(tmp_path, [0.0, 0.0, turn * MAS], np.zeros(3))
-    own = gaia_table(stars(6, 2))
+    mine = gaia_table(stars(6, 2))
     ra = low + np.array([1e-9, 180.0 - 1e-9, 180.0, 180.0 + 1e-9, 350.0, 360.0 - 1e-9])
-    own["ra"] = ra
-    moved = linksweep.apply(link, own)["ra"]
+    mine["ra"] = ra
+    moved = linksweep.apply(link, mine)["ra"]
     assert np.all((moved >= low) & (moved <= low + 360.0))
     np.testing.assert_allclose((moved - ra + 180.0) % 360.0 - 180.0, turn / 3.6e6, atol=1e-12)
 
@@ -143,9 +143,9 @@ def test_right_ascensions_stay_in_the_range_of_the_table(tmp_path, turn, low):
 def test_the_file_has_the_columns_of_the_input_and_a_tie_finds_no_rotation(tmp_path, form):
     link = linked(tmp_path, 20.0 * EPSILON, OMEGA, noisy=False)
     out = tmp_path / f"moved.{form}"
-    found = linksweep.apply(link, tmp_path / "satellite.ecsv", out)
+    result = linksweep.apply(link, tmp_path / "satellite.ecsv", out)
     written, before = Table.read(out), Table.read(tmp_path / "satellite.ecsv")
-    assert written.colnames == before.colnames == found.colnames
+    assert written.colnames == before.colnames == result.colnames
     for name in ("source_id", "parallax", "parallax_error", "ref_epoch", "phot_g_mean_mag"):
         np.testing.assert_array_equal(written[name], before[name])
     again = linksweep.tie(out, tmp_path / "reference.ecsv", "orientation,spin")
@@ -161,10 +161,10 @@ def test_what_is_missing_is_missing_in_the_file_and_a_pole_is_a_place_like_other
         frame[name] = pd.Series([value, None], dtype=kind)
     frame.to_parquet(tmp_path / "gaps.parquet")
     linksweep.apply(link, tmp_path / "gaps.parquet", tmp_path / "moved.parquet")
-    found = pyarrow.parquet.read_table(tmp_path / "moved.parquet").to_pydict()
-    assert [*found] == [*frame]
-    assert [found[name] for name in ("hip", "var", "sp")] == [[5, None], [False, None], ["K0", None]]
-    assert found["dec"][0] == pytest.approx(90.0 - np.hypot(*EPSILON[:2]) / DEGREE, abs=1e-12)
+    result = pyarrow.parquet.read_table(tmp_path / "moved.parquet").to_pydict()
+    assert [*result] == [*frame]
+    assert [result[name] for name in ("hip", "var", "sp")] == [[5, None], [False, None], ["K0", None]]
+    assert result["dec"][0] == pytest.approx(90.0 - np.hypot(*EPSILON[:2]) / DEGREE, abs=1e-12)
     again = linksweep.apply(link, tmp_path / "moved.parquet", tmp_path / "back.ecsv", inverse=True)
     assert again["dec"].tolist() == pytest.approx(frame["dec"].tolist(), abs=1e-12)
     with pytest.raises(linksweep.SweepError, match="no truth value is missing in FITS"):
@@ -232,8 +232,8 @@ def test_a_table_is_read_as_the_link_read_it_or_as_is_said(tmp_path, said):
     expected = written(linksweep.apply(usual, of_satellite))
     if said == {"units": ARCSEC}:  # another table, which says no units
         assert "is its unit right" in " ".join(linksweep.apply(link, of_satellite).meta["comments"])
-    for one, table, told in ((link, form, {}), (link, Table.read(form), {}), (usual, form, said)):
-        moved = linksweep.apply(one, table, **told)
+    for one, table, report in ((link, form, {}), (link, Table.read(form), {}), (usual, form, said)):
+        moved = linksweep.apply(one, table, **report)
         assert moved.colnames == Table.read(form).colnames
         for name in moved.colnames:
             if name not in ("ra_parallax_corr", "dec_parallax_corr", "parallax_pmra_corr", "parallax_pmdec_corr"):
@@ -255,12 +255,12 @@ def test_motions_without_errors_are_turned_and_half_a_motion_is_refused(tmp_path
 
 @pytest.mark.parametrize(("has", "lacks"), [("orientation", "spin"), ("spin", "orientation")])
 def test_what_the_link_lacks_stays_and_is_said(tmp_path, has, lacks):
-    link, own = linked(tmp_path, EPSILON, OMEGA, unknowns=has), gaia(tmp_path / "own.ecsv", stars(10, 4))
-    moved, zero = linksweep.apply(link, own), np.zeros(3)
+    link, mine = linked(tmp_path, EPSILON, OMEGA, unknowns=has), gaia(tmp_path / "own.ecsv", stars(10, 4))
+    moved, zero = linksweep.apply(link, mine), np.zeros(3)
     shared = linksweep.apply(link, gaia(tmp_path / "shared.ecsv", stars(10, 4), calibrator="J1", calibrator_error=0.5))
     np.testing.assert_allclose(shared["ra_error"], moved["ra_error"])  # that of the calibrator has its own column
     whole = linked(tmp_path, *((EPSILON, zero) if lacks == "spin" else (zero, OMEGA)))
-    np.testing.assert_allclose(values_of(moved), values_of(linksweep.apply(whole, own)), atol=1e-20)
+    np.testing.assert_allclose(values_of(moved), values_of(linksweep.apply(whole, mine)), atol=1e-20)
     assert all(words in " ".join(moved.meta["comments"]) for words in (f"the link has no {lacks}", "correlated"))
 
 

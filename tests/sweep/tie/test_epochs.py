@@ -120,7 +120,7 @@ def written(folder, scans, form="ecsv", units=True):
         frame[[*ARRAYS]] = frame[[*ARRAYS]].map(lambda cell: f"({json.dumps(cell)[1:-1]})")
         frame.to_csv(path, index=False)
     elif form == "dpac.parquet":
-        frame.rename(columns=lambda name: re.sub("_([a-z])", lambda found: found[1].upper(), name)).to_parquet(path)
+        frame.rename(columns=lambda name: re.sub("_([a-z])", lambda result: result[1].upper(), name)).to_parquet(path)
     else:
         table.write(path, overwrite=True, **({"format": "votable"} if form == "xml" else {}))
     return path
@@ -153,10 +153,10 @@ def with_every_parameter(link, sky, models, shared):
     for s, used in enumerate(free):
         a, y = np.vstack([sky.design[s], np.eye(11)[10]]), np.append(sky.values[s], 0.0)
         errors, unit = np.append(sky.errors[s], 0.085e-3), scale[6 + used]
-        found = np.zeros(11)
-        found[used] = unit * np.linalg.lstsq(a[:, used] * unit / errors[:, None], y / errors, rcond=None)[0]
-        alone.append(found)
-        add(s, 0.0, a, y - a @ found, errors)
+        result = np.zeros(11)
+        result[used] = unit * np.linalg.lstsq(a[:, used] * unit / errors[:, None], y / errors, rcond=None)[0]
+        alone.append(result)
+        add(s, 0.0, a, y - a @ result, errors)
         add(s, 0.0, 0.0, np.zeros(2), np.ones(2), np.eye(2))
     for r, s in enumerate(link.row_source_index.values):
         ra, dec = np.radians([link.ra.values[s], link.dec.values[s]])
@@ -168,14 +168,14 @@ def with_every_parameter(link, sky, models, shared):
         add(s, np.hstack([turn, years * turn]), partials, link.difference.values[r, :2], errors, shared * np.eye(2))
     at = np.concatenate([np.arange(6), *(6 + 11 * s + used for s, used in enumerate(free)), np.arange(end, len(scale))])
     matrix, right = np.concatenate(blocks)[:, at], np.concatenate(right)
-    found, covariance = np.zeros(len(scale)), np.zeros(2 * scale.shape)
-    found[at] = scale[at] * np.linalg.lstsq(matrix, right, rcond=None)[0]
+    result, covariance = np.zeros(len(scale)), np.zeros(2 * scale.shape)
+    result[at] = scale[at] * np.linalg.lstsq(matrix, right, rcond=None)[0]
     covariance[np.ix_(at, at)] = np.linalg.inv(matrix.T @ matrix) * scale[at] * scale[at, None]
-    squares = np.sum((right - matrix @ (found[at] / scale[at])) ** 2)
+    squares = np.sum((right - matrix @ (result[at] / scale[at])) ** 2)
     sigma = np.sqrt(np.diag(covariance))[6:end].reshape(-1, 11)
-    paths = np.array(alone) + found[6:end].reshape(-1, 11)
+    paths = np.array(alone) + result[6:end].reshape(-1, 11)
     each = zip(paths, sigma, free, strict=True)
-    return found[:6], covariance[:6, :6], squares, [(path[used], error[used], used) for path, error, used in each]
+    return result[:6], covariance[:6, :6], squares, [(path[used], error[used], used) for path, error, used in each]
 
 
 def orbits(folder, names, campbell=False):
@@ -220,10 +220,10 @@ def test_a_link_is_that_of_all_observations_with_every_parameter(tmp_path_factor
     dof = [len(y) - 5 - len(BENDS[model]) for y, model in zip(sky.values, models, strict=True)]
     assert link.path_dof.values.tolist() == dof
     each = zip(link.path_estimate.values, link.path_error.values, paths, strict=True)
-    for found, errors, (path, sigma, free) in each:
-        np.testing.assert_allclose(found[free] / sigma, path / sigma, atol=2e-3)
+    for result, errors, (path, sigma, free) in each:
+        np.testing.assert_allclose(result[free] / sigma, path / sigma, atol=2e-3)
         np.testing.assert_allclose(errors[free], sigma, rtol=1e-3)
-        assert np.isnan(np.delete(found, free)).all()
+        assert np.isnan(np.delete(result, free)).all()
     assert np.all(np.abs(link.estimate.values - np.array([*EPSILON, *OMEGA]) / MAS) < 5.0 * error)
     assert link.attrs["misfit"] == ""
 
@@ -310,10 +310,10 @@ def test_a_mistake_is_refused_or_named_with_its_cause(tmp_path, mistake):
     options = change if isinstance(change, dict) else change(sky) or {}
     try:
         link = linked(tmp_path, sky, units=False, accept_misfit=True, **options)
-        found, refused = link.attrs["misfit"], False
+        result, refused = link.attrs["misfit"], False
     except linksweep.SweepError as error:
-        found, refused = str(error), True
-    assert re.search(said, found), found
+        result, refused = str(error), True
+    assert re.search(said, result), result
     assert refused == (mistake in REFUSALS)
 
 
@@ -347,10 +347,10 @@ def test_an_orbit_is_that_of_one_star_and_one_that_is_not_on_the_sky_is_none(tmp
         return linked(tmp_path, sky, orbits=tmp_path / "orbits.csv", accept_misfit=True, **options)
 
     sky.vlbi = drawn(4, ["5"] * 4).vlbi
-    found = link([*one, *angles], [10**17 + 7, 30.0, 0.0, 0.0, *blank], [10**17 + 14, 30.0, *[0.0] * 6, *blank[4:]])
-    assert found.path_model.values.tolist() == ["orbit", "5", "5", "5"]
-    assert "the likely cause: orbits of the satellite that the other table does not have" in found.attrs["misfit"]
-    assert "orbits.csv: no orbit on the sky, and so none that is used, in row 2, 3" in found.attrs["notes"]
+    result = link([*one, *angles], [10**17 + 7, 30.0, 0.0, 0.0, *blank], [10**17 + 14, 30.0, *[0.0] * 6, *blank[4:]])
+    assert result.path_model.values.tolist() == ["orbit", "5", "5", "5"]
+    assert "the likely cause: orbits of the satellite that the other table does not have" in result.attrs["misfit"]
+    assert "orbits.csv: no orbit on the sky, and so none that is used, in row 2, 3" in result.attrs["notes"]
     for rows, options, said in (
         ([[*one, *angles], [*one[:4], *blank[:4], *angles]], {}, "one of several orbits of a star in row 1, 2"),
         ([[*one, 0.0, *angles[1:]]], {}, "elements and angles of two orbits in row 1"),
@@ -393,7 +393,7 @@ def test_studies_and_forecasts_have_the_errors_of_the_transits(tmp_path):
     np.testing.assert_allclose(plan.error.sel(stage="now"), formal)
     fixed = {"satellite": tables[0], "reference": tables[1], "epochs": {"all": tables[2]}, "star_models": models}
     study = {"title": "t", "experiment": "linksweep.sweep.tie.experiment:tie", "sampling": {"n_sim": 100}}
-    found = linksweep.run(study | {"fixed": fixed, "axes": {"clip": ["none"]}}, tmp_path / "s.zarr", pool="serial")
-    np.testing.assert_allclose(found.estimate.values[0, :6], link.estimate.values)
-    np.testing.assert_allclose(found.error_formal.values[0, :6], formal)
-    np.testing.assert_allclose(found.sigma.values[0, :6], formal, rtol=0.25)
+    result = linksweep.run(study | {"fixed": fixed, "axes": {"clip": ["none"]}}, tmp_path / "s.zarr", pool="serial")
+    np.testing.assert_allclose(result.estimate.values[0, :6], link.estimate.values)
+    np.testing.assert_allclose(result.error_formal.values[0, :6], formal)
+    np.testing.assert_allclose(result.sigma.values[0, :6], formal, rtol=0.25)

@@ -20,26 +20,26 @@ EPOCHS = (2019.0, 2031.0)
 ERROR = 0.07
 
 
-def scaled(own, old, new):
+def scaled(ours, old, new):
     """The table of a release as a later one may give it: positions by T^-1/2, motions by T^-3/2, another epoch."""
     ratio = MONTHS[old] / MONTHS[new]
-    errors = own.errors * np.array([ratio**0.5] * 3 + [ratio**1.5] * 2)[:, None]
-    return replace(own, errors=errors, epoch=own.epoch + EPOCH[new] - EPOCH[old])
+    errors = ours.errors * np.array([ratio**0.5] * 3 + [ratio**1.5] * 2)[:, None]
+    return replace(ours, errors=errors, epoch=ours.epoch + EPOCH[new] - EPOCH[old])
 
 
-def seen(own, rows):
-    return own.values + noise(np.random.default_rng(1), rows) / [np.cos(own.values[1]), *np.ones((4, len(own)))]
+def seen(ours, rows):
+    return ours.values + noise(np.random.default_rng(1), rows) / [np.cos(ours.values[1]), *np.ones((4, len(ours)))]
 
 
 @pytest.fixture(params=[1, slow(2)])
 def tables(request, tmp_path):
     """A satellite of DR3, its rows so far, and the satellite's table as DR4 may give it."""
-    own = replace(stars(4, request.param, pm=1e-3, parallax=1e-3), radial_velocity=np.zeros(4))
+    ours = replace(stars(4, request.param, pm=1e-3, parallax=1e-3), radial_velocity=np.zeros(4))
     rows = replace(stars(4, request.param + 50, epoch=2004.0), radial_velocity=np.zeros(4))
-    rows = replace(rows, values=seen(own, rows))
-    paths = gaia(tmp_path / "dr3.fits", own), gaia(tmp_path / "rows.fits", rows)
-    later = gaia(tmp_path / "dr4.fits", scaled(own, "dr3", "dr4"))
-    return SimpleNamespace(folder=tmp_path, own=own, rows=rows, known={}, paths=paths, scaled=later, options={})
+    rows = replace(rows, values=seen(ours, rows))
+    paths = gaia(tmp_path / "dr3.fits", ours), gaia(tmp_path / "rows.fits", rows)
+    later = gaia(tmp_path / "dr4.fits", scaled(ours, "dr3", "dr4"))
+    return SimpleNamespace(folder=tmp_path, ours=ours, rows=rows, known={}, paths=paths, scaled=later, options={})
 
 
 def covariance(tables, satellite, sources=(), epochs=EPOCHS):
@@ -47,7 +47,7 @@ def covariance(tables, satellite, sources=(), epochs=EPOCHS):
     if key in tables.known:
         return tables.known[key]
     which = np.array([*range(4), *(len(epochs) * list(sources))], dtype=np.int64)
-    new = tables.own.taken(which[4:])
+    new = tables.ours.taken(which[4:])
     changes = {"errors": np.full((5, len(new)), ERROR * MAS), "correlations": np.zeros((10, len(new)))}
     new = only(new, POSITION, epoch=np.repeat(epochs, len(sources)), **changes)
     joint = joined(tables.rows, replace(new, values=seen(new, new)))
@@ -153,15 +153,15 @@ def test_errors_are_not_scaled_twice_and_a_table_at_another_epoch_needs_the_name
     for table, said in (("other", "1991.25"), ("various", "2016 to 2017.3")):
         with pytest.raises(SweepError, match=rf"epochs \({said}\) are those of no release .*from_release"):
             planned(folder, table, "dr4")
-    found = planned(folder, "other", "dr4", from_release="dr2").error.sel(stage="dr4")
-    np.testing.assert_allclose(found, errors_by_hand(folder, "other", "dr2", "dr4"), rtol=1e-9)
+    result = planned(folder, "other", "dr4", from_release="dr2").error.sel(stage="dr4")
+    np.testing.assert_allclose(result, errors_by_hand(folder, "other", "dr2", "dr4"), rtol=1e-9)
     with pytest.raises(SweepError, match="epochs of dr3 and dr4"):
         planned(folder, "mixed", "dr5", from_release="dr3")
 
 
 def in_a_study(folder, satellite, reference, **fixed):
-    found = written(folder, satellite=str(satellite), reference=str(reference), **fixed)
-    return found.sigma_predicted.values.ravel()[:6]
+    result = written(folder, satellite=str(satellite), reference=str(reference), **fixed)
+    return result.sigma_predicted.values.ravel()[:6]
 
 
 def test_a_study_scales_from_the_same_release(folder):
@@ -176,8 +176,8 @@ def test_a_study_scales_from_the_same_release(folder):
 @pytest.mark.parametrize("jitter", [slow(""), slow("position=0.2:0.02")])
 def test_new_positions_of_quasars_are_mean_ones_that_hold_at_any_epoch(tmp_path, jitter):
     quasars = replace(stars(12, 5, pm=0.0, parallax=0.0), radial_velocity=np.zeros(12))
-    own = replace(quasars, values=seen(quasars, quasars))
-    tables, plan = (gaia(tmp_path / "own.ecsv", own), tmp_path / "0.ecsv"), {"add": [2030], "error": ERROR}
+    ours = replace(quasars, values=seen(quasars, quasars))
+    tables, plan = (gaia(tmp_path / "own.ecsv", ours), tmp_path / "0.ecsv"), {"add": [2030], "error": ERROR}
     new = only(quasars, POSITION, errors=np.full((5, 12), ERROR * MAS), correlations=np.zeros((10, 12)))
     exact = replace(quasars, errors=quasars.errors * np.array([1.0, 1.0, np.nan, 1e-6, 1e-6])[:, None])
     exact = with_variance(exact, ((np.array([0.2, 0.2, 0.0, 0.02, 0.02]) * bool(jitter) * MAS) ** 2)[:, None])
@@ -190,7 +190,7 @@ def test_new_positions_of_quasars_are_mean_ones_that_hold_at_any_epoch(tmp_path,
         links.append(tie(tables[0], tmp_path / f"{k}.ecsv", errors="formal", **how))  # of orientation and spin
     for name in ("estimate", "error", "chi2", "dof"):
         np.testing.assert_allclose(links[2][name], links[3][name], rtol=1e-5, atol=1e-7, err_msg=name)
-    north = (quasars.values[1] - own.values[1]) / MAS  # neither moved nor displaced
+    north = (quasars.values[1] - ours.values[1]) / MAS  # neither moved nor displaced
     np.testing.assert_allclose(links[0].difference.sel(observable="dec"), north, atol=1e-6)
     assert "say --extragalactic" in str(tie(*tables, reference_epoch=2015.5, accept_misfit=True).attrs["notes"])
     moving = only(stars(12, 5), POSITION[:, None] | (np.arange(12) > 7))  # some without motions, where none is exact
@@ -220,23 +220,25 @@ def test_new_positions_are_of_the_kind_that_the_reference_is_marked_to_be(folder
 
 @pytest.mark.slow
 def test_estimated_noise_is_in_new_rows_and_is_not_scaled_to_a_release(tmp_path):
-    own, rng = replace(resting(2016.0), correlations=np.zeros((10, 12))), np.random.default_rng(4)
-    rows = only(joined(*(replace(own, epoch=own.epoch - years) for years in (3.0, 8.0, 14.0))), POSITION)
+    ours, rng = replace(resting(2016.0), correlations=np.zeros((10, 12))), np.random.default_rng(4)
+    rows = only(joined(*(replace(ours, epoch=ours.epoch - years) for years in (3.0, 8.0, 14.0))), POSITION)
     rows = replace(rows, values=rows.values + 5.0 * noise(rng, rows), radial_velocity=np.zeros(36))
-    own = replace(own, values=own.values + 5.0 * noise(rng, own))
+    ours = replace(ours, values=ours.values + 5.0 * noise(rng, ours))
     source = 10**17 + np.arange(48) % 12
-    tables = gaia(tmp_path / "own.fits", own), gaia(tmp_path / "rows.fits", rows, source_id=source[:36])
+    tables = gaia(tmp_path / "own.fits", ours), gaia(tmp_path / "rows.fits", rows, source_id=source[:36])
     link = tie(*tables, "orientation,spin", jitter="estimate", accept_misfit=True)
     size = dict(zip(link.noise.values.tolist(), link.noise_size.values * MAS, strict=True))
 
-    def noisy(table, of):
-        sizes = [size.get(f"{of}:{name}", 0.0) for name in ("position", "position", "parallax", "motion", "motion")]
+    def noisy(table, kind):
+        sizes = [size.get(f"{kind}:{name}", 0.0) for name in ("position", "position", "parallax", "motion", "motion")]
         return replace(table, errors=np.hypot(table.errors, np.array(sizes)[:, None]))
 
-    new = only(own, POSITION, errors=np.full((5, 12), ERROR * MAS), epoch=np.full(12, 2031.0))
+    new = only(ours, POSITION, errors=np.full((5, 12), ERROR * MAS), epoch=np.full(12, 2031.0))
     rows = noisy(replace(joined(rows, new), radial_velocity=np.zeros(48)), "single epoch")
-    later = gaia(tmp_path / "later.fits", noisy(scaled(own, "dr3", "dr5"), "satellite"))
+    later = gaia(tmp_path / "later.fits", noisy(scaled(ours, "dr3", "dr5"), "satellite"))
     rows = gaia(tmp_path / "all.fits", rows, source_id=source)
     expected = tie(later, rows, "orientation,spin", errors="formal", accept_misfit=True).error
-    found = in_a_study(tmp_path, *tables, release="dr5", jitter="estimate", n_new=12, new_epoch=2031.0, new_error=ERROR)
-    np.testing.assert_allclose(found, expected, rtol=1e-5)
+    result = in_a_study(
+        tmp_path, *tables, release="dr5", jitter="estimate", n_new=12, new_epoch=2031.0, new_error=ERROR
+    )
+    np.testing.assert_allclose(result, expected, rtol=1e-5)

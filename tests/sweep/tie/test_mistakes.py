@@ -33,8 +33,8 @@ def sky(n, seed):
     """Return a satellite's table and VLBI rows: three or four positions of a star, and some motions and parallaxes."""
     rng = np.random.default_rng(seed)
     truth, names = stars(n, seed + 1, pm=60.0, parallax=15.0), 10**17 + 7 * np.arange(n)
-    own = replace(truth, values=seen_by_satellite(truth, EPSILON, OMEGA))
-    step = noise(rng, own) / [np.cos(own.values[1]), *np.ones((4, n))]
+    ours = replace(truth, values=seen_by_satellite(truth, EPSILON, OMEGA))
+    step = noise(rng, ours) / [np.cos(ours.values[1]), *np.ones((4, n))]
     source = np.concatenate([np.repeat(np.arange(n), 3 + np.arange(n) % 2), np.arange(0, n, 2)])
     size, there = len(source), truth.taken(source)
     is_motion = np.arange(size) >= size - (n + 1) // 2
@@ -49,7 +49,7 @@ def sky(n, seed):
     values = np.where(is_position | is_motion, values, np.nan)  # every row says where the star is
     rows = gaia_table(replace(there, values=values, errors=errors, epoch=epoch), source_id=names[source])
     rows.keep_columns(["source_id", "ref_epoch", *NAMES, *ERRORS])
-    return gaia_table(replace(own, values=own.values + step), source_id=names), rows
+    return gaia_table(replace(ours, values=ours.values + step), source_id=names), rows
 
 
 def scaled(names, factor):
@@ -149,8 +149,8 @@ def solved(folder, *tables):
 @pytest.mark.parametrize("mistake", few(6, MISTAKES))
 @pytest.mark.parametrize(("n", "seed"), [(9, 2), *(slow(n, n + seed) for n in (5, 60) for seed in (2, 3))])
 def test_a_mistake_is_named(tmp_path, mistake, n, seed):
-    found = solved(tmp_path, *with_mistake(n, seed, mistake))
-    assert any(re.search(MISTAKES[mistake][2], note) for note in found), found
+    result = solved(tmp_path, *with_mistake(n, seed, mistake))
+    assert any(re.search(MISTAKES[mistake][2], note) for note in result), result
 
 
 @pytest.mark.parametrize(("n", "seed"), [(5, 1), slow(20, 2), slow(60, 3)])

@@ -55,15 +55,15 @@ def test_the_noise_has_the_largest_restricted_likelihood(tmp_path, seed, n):
         whole = known + np.tensordot(variances, noisy, axes=1)
         return np.linalg.slogdet(whole)[1] + z @ np.linalg.solve(whole, z)
 
-    found = link.noise_size.values**2
-    starts, how = (0.02 * np.ones(len(found)), found + 1e-3), {"options": {"maxfun": 10_000}}
-    best = min(minimize(deviance, start, bounds=[(0.0, None)] * len(found), **how).fun for start in starts)
-    assert deviance(found) < best + 1e-4
+    result = link.noise_size.values**2
+    starts, how = (0.02 * np.ones(len(result)), result + 1e-3), {"options": {"maxfun": 10_000}}
+    best = min(minimize(deviance, start, bounds=[(0.0, None)] * len(result), **how).fun for start in starts)
+    assert deviance(result) < best + 1e-4
     # the information, 1/2 tr(P G P G), and the solution with these errors
-    half = np.linalg.inv(known + np.tensordot(found, noisy, axes=1)) @ noisy
+    half = np.linalg.inv(known + np.tensordot(result, noisy, axes=1)) @ noisy
     deviation = np.sqrt(np.diag(np.linalg.inv(0.5 * np.einsum("cij,dji->cd", half, half))))
     with np.errstate(divide="ignore"):
-        expected = np.minimum(deviation / (2.0 * np.sqrt(found)), np.sqrt(deviation))
+        expected = np.minimum(deviation / (2.0 * np.sqrt(result)), np.sqrt(deviation))
     np.testing.assert_allclose(link.noise_error, expected, rtol=1e-3)
 
     def solution(variances):
@@ -71,14 +71,14 @@ def test_the_noise_has_the_largest_restricted_likelihood(tmp_path, seed, n):
         inverse = np.linalg.pinv(both.T @ weights @ both, rcond=1e-14)[:6]
         return inverse @ both.T @ weights, inverse[:, :6]
 
-    _, covariance = solution(found)
+    _, covariance = solution(result)
     np.testing.assert_allclose(link.covariances.sel(error_kind="formal"), covariance, rtol=1e-3, atol=1e-7)
     # Kenward & Roger 1997: twice the scatter of the unknowns with the noise, and Student's t of the errors of errors
-    above, step = np.flatnonzero(found > 0.0), 1e-5
-    ends = [[solution(found + sign * step * unit) for sign in (1.0, -1.0)] for unit in np.eye(len(found))[above]]
+    above, step = np.flatnonzero(result > 0.0), 1e-5
+    ends = [[solution(result + sign * step * unit) for sign in (1.0, -1.0)] for unit in np.eye(len(result))[above]]
     moved, slope = (np.array([(one[k] - other[k]) / (2.0 * step) for one, other in ends]) for k in (0, 1))
     scatter = np.linalg.inv(0.5 * np.einsum("cij,dji->cd", half[above], half[above]))
-    whole = d + np.tensordot(found, whole_noises, axes=1)
+    whole = d + np.tensordot(result, whole_noises, axes=1)
     lacking = 2.0 * np.einsum("cd,cki,ij,dlj->kl", scatter, moved, whole, moved)
     relative = np.einsum("ckk,cd,dkk->k", slope, scatter, slope) / np.diag(covariance) ** 2
     student = stats.t.ppf(stats.norm.cdf(1.0), 2.0 / relative)
@@ -88,13 +88,13 @@ def test_the_noise_has_the_largest_restricted_likelihood(tmp_path, seed, n):
 
 def test_equal_errors_have_a_closed_form(tmp_path):
     """Positions scatter by 0.5 mas beside errors of 0.1."""
-    own = replace(stars(20, 3), errors=np.full((5, 20), 0.1 * MAS), correlations=np.zeros((10, 20)))
+    ours = replace(stars(20, 3), errors=np.full((5, 20), 0.1 * MAS), correlations=np.zeros((10, 20)))
     offset = np.random.default_rng(3).normal(0.0, np.hypot(0.5, np.sqrt(2.0) * 0.1), (2, 20))
-    values = own.values.copy()
-    values[:2] += offset * MAS / np.array([np.cos(own.values[1]), np.ones(20)])
-    tables = gaia(tmp_path / "a.ecsv", own), gaia(tmp_path / "b.ecsv", only(own, POSITION, values=values))
+    values = ours.values.copy()
+    values[:2] += offset * MAS / np.array([np.cos(ours.values[1]), np.ones(20)])
+    tables = gaia(tmp_path / "a.ecsv", ours), gaia(tmp_path / "b.ecsv", only(ours, POSITION, values=values))
     link = linksweep.tie(*tables, "orientation", positions="mean", jitter="estimate")
-    design = np.concatenate([turned(*place) for place in own.values[:2].T])
+    design = np.concatenate([turned(*place) for place in ours.values[:2].T])
     x, squares, *_ = np.linalg.lstsq(design, offset.T.ravel(), rcond=None)
     nu, variance = design.shape[0] - 3, squares[0] / (design.shape[0] - 3)
     size = np.sqrt(variance - 2.0 * 0.1**2)
@@ -117,12 +117,12 @@ def test_equal_errors_have_a_closed_form(tmp_path):
     np.testing.assert_allclose(link.error, plain.errors.sel(error_kind="formal"))
     beside = linksweep.tie(*pulsars, missions={"satellite-2": pulsars[1]}, jitter="satellite-2:all=estimate")
     assert beside.noise.values.tolist() == ["satellite-2:position:position"]
-    values = own.values + np.random.default_rng(4).normal(0.0, 0.5 * MAS, (5, 20))
-    hip, blocks = gaia(tmp_path / "hip.ecsv", replace(own, values=values)), "orientation,hip:orientation"
+    values = ours.values + np.random.default_rng(4).normal(0.0, 0.5 * MAS, (5, 20))
+    hip, blocks = gaia(tmp_path / "hip.ecsv", replace(ours, values=values)), "orientation,hip:orientation"
     link = linksweep.tie(tables[0], tables[0], blocks, missions={"hip": hip}, jitter="hip:all=estimate")
     np.testing.assert_allclose(link.noise_size[[0, 2]], 0.5, rtol=0.25)  # rows of the reference have none
     of_hip = np.flatnonzero(link.row_table == "hip")
-    step, places = link.estimate.values[:3] - link.estimate.values[3:], own.values[:2, link.row_source_index[of_hip]]
+    step, places = link.estimate.values[:3] - link.estimate.values[3:], ours.values[:2, link.row_source_index[of_hip]]
     moved = (link.difference - link.residual).values[of_hip, :2]
     np.testing.assert_allclose(moved, [turned(*place) @ step for place in places.T], atol=1e-9)
 
@@ -137,9 +137,9 @@ def drawn(seed, n, rows_each, kind, part=1.0, factor=3.0):
         row = stars(n, seed + 1000 * (k + 1), epoch=truth.epoch + rng.uniform(-12.0, 12.0, n))
         values = propagated(truth.values, None, truth.epoch, row.epoch) + large * noise(rng, row)
         pieces.append(only(row, present, values=values))
-    own = replace(truth, values=truth.values + large * noise(rng, truth))
+    ours = replace(truth, values=truth.values + large * noise(rng, truth))
     source = np.tile(np.arange(n), rows_each)
-    return Problem(own, joined(*pieces), source, parse_unknowns("orientation,spin"), float(truth.epoch[0]))
+    return Problem(ours, joined(*pieces), source, parse_unknowns("orientation,spin"), float(truth.epoch[0]))
 
 
 @pytest.mark.parametrize(("seeds", "case"), [(8, CASES[0]), *(slow(400, case) for case in CASES)])
@@ -148,9 +148,9 @@ def test_the_truth_is_within_the_error_as_often_as_it_should_be(seeds, case):
     inside, plain = [], []
     for problem in (drawn(seed, *case) for seed in range(seeds)):
         jitter = {"reference": {"all": "estimate"}}
-        found, without = estimated(problem, noises(problem, jitter)), solve(source_sums(problem))
-        solved = solve(source_sums(found.added_to(problem, jitter)))
-        inside.append(np.abs(solved.estimate) < np.sqrt(np.diag(found.covariance(solved))))
+        result, without = estimated(problem, noises(problem, jitter)), solve(source_sums(problem))
+        solved = solve(source_sums(result.added_to(problem, jitter)))
+        inside.append(np.abs(solved.estimate) < np.sqrt(np.diag(result.covariance(solved))))
         plain.append(np.abs(without.estimate) < np.sqrt(np.diag(without.covariance)))
     assert abs(np.mean(inside) - 0.683) < (0.02 if seeds > 100 else 0.15)
     assert np.mean(plain) < 0.6
@@ -180,8 +180,8 @@ def test_rows_that_share_a_calibrator_share_its_error_also_in_draws(tmp_path, se
     problem = set_up(tables.satellite, tables.reference, Options("orientation,spin", positions="mean")).problem
     expected = solve(source_sums(problem)).covariance
     draws = Simulation(problem, np.zeros(6), 0.5, 1.0, 2.0).draws(600, np.random.default_rng(1))
-    found = np.array([solve(one.sums).estimate for one in draws])
-    np.testing.assert_allclose(np.diag(np.cov(found.T)), np.diag(expected), rtol=0.25)
+    result = np.array([solve(one.sums).estimate for one in draws])
+    np.testing.assert_allclose(np.diag(np.cov(result.T)), np.diag(expected), rtol=0.25)
 
 
 @pytest.mark.slow

@@ -114,8 +114,8 @@ def test_chi2_of_a_difference_of_errors_from_the_scatter_of_sources_is_hotelling
         samples = float(link.samples[0])
         assert samples == np.inf if kind in ("formal", "scaled") else samples <= float(link.n_sources)
         assert samples == float(link.n_sources) or kind not in ("jackknife", "sandwich", "bootstrap")
-        own = np.linalg.solve(made.covariance.values, link.covariance.values)
-        total += (np.trace(own @ own) + np.trace(own) ** 2) / (samples - 1.0)
+        ours = np.linalg.solve(made.covariance.values, link.covariance.values)
+        total += (np.trace(ours @ ours) + np.trace(ours) ** 2) / (samples - 1.0)
     dof = p * (p + 1) / total
     expected = f(p, dof - p + 1).sf(made.chi2.item() * (dof - p + 1) / (p * dof))
     assert made.probability.item() == pytest.approx(expected, rel=1e-9)
@@ -177,14 +177,14 @@ def test_what_cannot_be_drawn_and_a_damaged_result_are_one_message(stored, tmp_p
 
 
 def tables_of(page):
-    found = {}
+    result = {}
     for name, body in re.findall(r"<summary>(.*?) \(\d+ rows?\)</summary>(.*?)</details>", page, re.DOTALL):
         headings = re.findall(r'<th scope="col"><button type="button">(.*?)</button>', body)
         rows = re.findall(r"<tr>(<td.*?)</tr>", body, re.DOTALL)
         rows = [re.findall(r'<td[^>]*?(?:data-value="([^"]*)")?>(.*?)</td>', row) for row in rows]
         rows = [[value or text for value, text in cells] for cells in rows]
-        found[name] = [dict(zip(headings, row, strict=True)) for row in rows]
-    return found
+        result[name] = [dict(zip(headings, row, strict=True)) for row in rows]
+    return result
 
 
 @pytest.mark.slow
@@ -197,9 +197,9 @@ def test_a_page_has_the_estimate_and_every_kind_of_error_along_the_axes_and_chi2
     options = {"unknowns": "orientation,spin", "errors": ",".join(KINDS)}
     links = {clip: linksweep.tie(*tables.values(), clip=clip, **options) for clip in CLIPS}
     page = tables_of(report_of([tmp_path / "s.zarr"]))
-    found = [table for name, table in page.items() if name.startswith("estimate [")]
-    rows = {(row["clip"], row["component"]): row for table in found for row in table}
-    assert len(rows) == sum(map(len, found)) == 12  # not again for the errors of the draws
+    result = [table for name, table in page.items() if name.startswith("estimate [")]
+    rows = {(row["clip"], row["component"]): row for table in result for row in table}
+    assert len(rows) == sum(map(len, result)) == 12  # not again for the errors of the draws
     for clip, link in links.items():
         for k, label in enumerate(link.unknown.values.tolist()):
             row = rows[clip, label]

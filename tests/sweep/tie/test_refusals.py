@@ -71,10 +71,10 @@ REFUSED = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("words", "own", "rows", "options"), REFUSED, ids=[one[0] for one in REFUSED])
-def test_what_is_wrong_is_named(tmp_path, words, own, rows, options):
+@pytest.mark.parametrize(("words", "ours", "rows", "options"), REFUSED, ids=[one[0] for one in REFUSED])
+def test_what_is_wrong_is_named(tmp_path, words, ours, rows, options):
     paths = [tmp_path / "own.fits", tmp_path / "rows.ecsv"]
-    for path, changes in zip(paths, (own, rows), strict=True):
+    for path, changes in zip(paths, (ours, rows), strict=True):
         table = gaia_table(replace(stars(N, 1), correlations=np.zeros((10, N))))
         for name, column in changes.items():
             table[name] = column if column is not None else table.columns[0]

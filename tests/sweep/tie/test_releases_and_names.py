@@ -22,12 +22,12 @@ def still(n=12, epoch=2016.0, **options):
     return replace(stars(n, 3, epoch=epoch, **options), radial_velocity=np.zeros(n))
 
 
-def two_tables(folder, n=12, own=None, other=None, epoch=2017.5):
+def two_tables(folder, n=12, ours=None, other=None, epoch=2017.5):
     made = still(n, epoch)
     there = propagated(made.values, made.radial_velocity, made.epoch, np.full(n, 2016.0))
     seen = replace(made, values=seen_by_satellite(made, TURN, 0.0 * TURN))
     other_made = replace(made, values=there, epoch=np.full(n, 2016.0))
-    return gaia(folder / "own.ecsv", seen, **(own or {})), gaia(folder / "other.ecsv", other_made, **(other or {}))
+    return gaia(folder / "own.ecsv", seen, **(ours or {})), gaia(folder / "other.ecsv", other_made, **(other or {}))
 
 
 def said(link, words):
@@ -37,26 +37,26 @@ def said(link, words):
 def test_identifiers_of_two_releases_are_different_names(tmp_path):
     numbers = np.arange(12) + 100
     exchanged = np.roll(numbers, 1)  # the same numbers, of other stars
-    own = {"source_id": exchanged, "designation": [f"Gaia DR4 {number}" for number in exchanged]}
+    ours = {"source_id": exchanged, "designation": [f"Gaia DR4 {number}" for number in exchanged]}
     other = {"source_id": numbers, "designation": [f"Gaia DR3 {number}" for number in numbers]}
-    tables = two_tables(tmp_path, own=own, other=other)
+    tables = two_tables(tmp_path, ours=ours, other=other)
     Table.read(tables[0])[1:].write(tables[0], overwrite=True)  # the first of other.ecsv is nobody
     link = linksweep.tie(*tables, "orientation,spin")
     np.testing.assert_allclose(link.estimate[:3], TURN / MAS, atol=1e-4)
     assert said(link, "identifiers of dr4 and dr3 are different names; stars are named as in other.ecsv")
     assert link.source.values.tolist() == [*map(str, numbers[1:])]
     # without designations the epochs say it
-    bare = two_tables(tmp_path, own={"source_id": exchanged}, other={"source_id": numbers})
+    bare = two_tables(tmp_path, ours={"source_id": exchanged}, other={"source_id": numbers})
     assert said(linksweep.tie(*bare, "orientation,spin"), "are different names")
     # another name that both have is as good as ever
-    named = two_tables(tmp_path, own=own | {"hip": numbers}, other=other | {"hip": numbers})
+    named = two_tables(tmp_path, ours=ours | {"hip": numbers}, other=other | {"hip": numbers})
     assert linksweep.tie(*named, "orientation").attrs["matched_by"] == "hip"
 
 
 @pytest.mark.parametrize("by", few(2, [None, "HIP", "hip", "name"]))
 def test_columns_of_names_are_the_same_in_any_case(tmp_path, by):
     numbers = np.arange(12) + 100
-    tables = two_tables(tmp_path, own={"hip": [*map(str, numbers[:-1]), ""]}, other={"HIP": numbers})
+    tables = two_tables(tmp_path, ours={"hip": [*map(str, numbers[:-1]), ""]}, other={"HIP": numbers})
     link = linksweep.tie(*tables, "orientation", by=by)
     assert link.attrs["matched_by"] == "hip = HIP"
     assert said(link, "11; no name in row 12 of own.ecsv")
@@ -68,12 +68,12 @@ def test_sources_within_the_radius_and_leftovers_are_named(tmp_path):
     made = still(pm=0.0)
     values, rows = made.values.copy(), made.values.copy()
     values[:2, 1] = values[:2, 0] + np.array([0.0, 0.4 * ARCSEC])  # a companion of S0 in the satellite's table
-    own = gaia(tmp_path / "own.ecsv", replace(made, values=values), source_id=[f"A{k}" for k in range(12)])
+    ours = gaia(tmp_path / "own.ecsv", replace(made, values=values), source_id=[f"A{k}" for k in range(12)])
     rows[1, 11] += 0.01  # nothing is there
     reference = gaia_table(replace(made, values=rows), source_id=[f"S{k}" for k in range(12)])
     reference.remove_row(1)
     reference.write(tmp_path / "other.ecsv")
-    link = linksweep.tie(own, tmp_path / "other.ecsv", "orientation", by="position", accept_misfit=True)
+    link = linksweep.tie(ours, tmp_path / "other.ecsv", "orientation", by="position", accept_misfit=True)
     assert said(link, "several sources are within the radius (A0 and A1); the nearest is taken")
     assert said(link, "1 of 11 rows of other.ecsv match no source: S11")
 
@@ -131,7 +131,7 @@ def test_positions_of_one_epoch_give_epsilon_and_omega_only_together_and_are_no_
 
 @pytest.mark.slow
 def test_a_row_for_each_star_is_a_table_in_every_format(tmp_path, sweep):
-    tables = two_tables(tmp_path, own={"source_id": [f"S{k}" for k in range(12)]})
+    tables = two_tables(tmp_path, ours={"source_id": [f"S{k}" for k in range(12)]})
     link = linksweep.tie(*tables, "orientation,spin", by="position")
     arguments = [*map(str, tables), "--unknowns", "orientation,spin", "--by", "position", "-o", "a.zarr"]
     assert sweep("tie", *arguments, cwd=tmp_path)[0] == 0
@@ -149,14 +149,14 @@ def test_a_row_for_each_star_is_a_table_in_every_format(tmp_path, sweep):
 
 def test_only_rows_that_meet_a_condition_are_used(tmp_path):
     ruwe = {"ruwe": np.where(np.arange(12) < 8, 1.0, 3.0)}
-    own, other = two_tables(tmp_path, own=ruwe, other={"snr": np.arange(12.0)})
-    whole = linksweep.tie(own, other, "orientation,spin")
+    ours, other = two_tables(tmp_path, ours=ruwe, other={"snr": np.arange(12.0)})
+    whole = linksweep.tie(ours, other, "orientation,spin")
     assert said(whole, "the usual choices would drop some (where): ruwe < 1.4 (4 rows)")
-    Table.read(own)[:8].write(tmp_path / "few.ecsv")
+    Table.read(ours)[:8].write(tmp_path / "few.ecsv")
     few = linksweep.tie(tmp_path / "few.ecsv", other, "orientation,spin")
-    chosen = linksweep.tie(own, other, "orientation,spin", where="ruwe < 1.4; ruwe < 9")
+    chosen = linksweep.tie(ours, other, "orientation,spin", where="ruwe < 1.4; ruwe < 9")
     assert int(whole.n_sources) == 12
-    for link in (chosen, linksweep.tie(own, other, "orientation,spin", where="reference: snr < 8")):
+    for link in (chosen, linksweep.tie(ours, other, "orientation,spin", where="reference: snr < 8")):
         np.testing.assert_array_equal(link.source, few.source)
         np.testing.assert_allclose(link.estimate, few.estimate, atol=1e-9)
     words = "where '(ruwe < 1.4) & (ruwe < 9)' keeps 8 of 12 rows"
@@ -175,11 +175,11 @@ def test_parallaxes_are_those_of_the_authors_package(tmp_path, monkeypatch):
     columns["pseudocolour"] = np.where(six, rng.uniform(1.25, 1.7, 30), np.nan)
     columns |= {"ecl_lat": rng.uniform(-90.0, 90.0, 30), "astrometric_params_solved": solved}
     table = gaia(tmp_path / "gaia.ecsv", made, **columns | {"ecl_lat": Column(columns["ecl_lat"] * DEGREE, unit="rad")})
-    found = read_table(table, TableOptions(parallax_zero_point=True))
+    result = read_table(table, TableOptions(parallax_zero_point=True))
     zpt.load_tables()
     wanted = [0.0 if k in (4, 5) else zpt.get_zpt(*(column[[k]] for column in columns.values()))[0] for k in range(30)]
-    np.testing.assert_allclose((made.values[2] - found.astrometry.values[2]) / MAS, wanted, atol=1e-9)
-    assert any("zero points of 28 of 30 parallaxes subtracted" in note for note in found.notes)
+    np.testing.assert_allclose((made.values[2] - result.astrometry.values[2]) / MAS, wanted, atol=1e-9)
+    assert any("zero points of 28 of 30 parallaxes subtracted" in note for note in result.notes)
     Table.read(table).write(tmp_path / "gaia.parquet")
     monkeypatch.setattr("linksweep.sweep.tie.setup.FROM_ROWS", 30)
     options = {"unknowns": "parallax", "parallax_zero_point": "satellite", "accept_misfit": True}

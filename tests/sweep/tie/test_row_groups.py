@@ -49,17 +49,20 @@ def test_it_is_the_solution_of_the_whole_table(tmp_path, monkeypatch, options):
     whole = tie(path, "zero-motion", **options)
     monkeypatch.setattr("linksweep.sweep.tie.setup.FROM_ROWS", 1000)
     monkeypatch.setattr("linksweep.sweep.tie.link.HEAVIEST", 3000)
-    found = tie(path, "zero-motion", **options)
+    result = tie(path, "zero-motion", **options)
     error = whole.errors.sel(error_kind="formal").values
-    np.testing.assert_allclose(found.estimate / error, whole.estimate / error, atol=1e-9)
-    np.testing.assert_allclose(found.errors.sel(error_kind="formal"), error, rtol=1e-9)
+    np.testing.assert_allclose(result.estimate / error, whole.estimate / error, atol=1e-9)
+    np.testing.assert_allclose(result.errors.sel(error_kind="formal"), error, rtol=1e-9)
     if "cells" in options.get("errors", ""):
-        np.testing.assert_allclose(found.error, whole.error, rtol=1e-8)
+        np.testing.assert_allclose(result.error, whole.error, rtol=1e-8)
     for name in ("weight_factor", "discrepancy", "n_sources", "chi2_expected"):
-        np.testing.assert_allclose(found[name], whole[name], rtol=1e-7, atol=1e-9, err_msg=name)
-    heavy = [[note for note in link.attrs["notes"] if "of the weight" in note] for link in (found, whole)]
+        np.testing.assert_allclose(result[name], whole[name], rtol=1e-7, atol=1e-9, err_msg=name)
+    heavy = [[note for note in link.attrs["notes"] if "of the weight" in note] for link in (result, whole)]
     assert (heavy[0], bool(heavy[0])) == (heavy[1], "20.995" in str(options))
-    assert (found.attrs["satellite_sha256"], *found.source.values) == (whole.attrs["satellite_sha256"], *range(1, 3001))
+    assert (result.attrs["satellite_sha256"], *result.source.values) == (
+        whole.attrs["satellite_sha256"],
+        *range(1, 3001),
+    )
 
 
 @pytest.mark.parametrize("rows", [1000, 10**6], ids=["by groups", "whole"])
@@ -114,9 +117,9 @@ def test_the_epoch_is_the_median_of_all_row_groups(tmp_path, by_groups, monkeypa
 
 def test_wrong_rows_are_named_with_their_row_group(tmp_path, by_groups):
     path = quasars(tmp_path / "quasars.parquet", dec=np.where(np.arange(3000) == 1500, 95.0, 0.0))
-    found = CliRunner().invoke(main, ["tie", str(path), "zero-motion"])
+    result = CliRunner().invoke(main, ["tie", str(path), "zero-motion"])
     words = "the 700 rows from row 1401 on: a dec outside -90..90 deg in row 101"
-    assert (found.exit_code, words in found.output) == (2, True), found.output
+    assert (result.exit_code, words in result.output) == (2, True), result.output
     epochs = np.repeat([2016.0, 2017.5], [1400, 1600])  # one in each row group
     with pytest.raises(SweepError, match="rows have the epochs of dr3 and dr4"):
         tie(quasars(tmp_path / "two.parquet", ref_epoch=epochs), "zero-motion")
@@ -130,9 +133,9 @@ def test_without_sources_memory_hardly_grows_with_their_number(tmp_path, by_grou
         path = quasars(tmp_path / f"{n}.parquet", n, 2000)
         tracemalloc.start()
         link = tie(path, "zero-motion", "spin", clip="median:50", errors="cells", per_source=False)
-        found = tracemalloc.get_traced_memory()[1]
+        result = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
-        return found, link
+        return result, link
 
     _, (small, _), (large, link) = peak(2000), peak(2000), peak(10_000)  # the first imports
     assert (large - small) / 8_000 < 40.0

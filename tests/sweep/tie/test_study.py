@@ -41,8 +41,8 @@ def point(study, **changes):
 
 def results(at, n_sim=400, seed=1):
     sums = tie.evaluate([at], n_sim, np.random.default_rng(seed), np.random.default_rng(0))
-    found = tie.summarise(sums, np.array([float(n_sim)]), np.ones(1))
-    return {name: values[0] for name, values in found.items()}
+    result = tie.summarise(sums, np.array([float(n_sim)]), np.ones(1))
+    return {name: values[0] for name, values in result.items()}
 
 
 @pytest.mark.slow
@@ -71,22 +71,22 @@ def test_monte_carlo_errors_are_the_scatter_between_seeds(tmp_path, n_sim, study
 def test_results_of_draws_are_those_of_the_samples():
     """With the errors of the draws three times those of the tables: formal errors cover less, scaled ones as before."""
     at, n = point("pulsar-timing", error_factor=3.0), 300
-    found = results(at, n)
+    result = results(at, n)
     sums = tie.samples([at], n, np.random.default_rng(1), np.random.default_rng(0))
     drawn = sums["drawn"][0, :, :3]
-    off = drawn - found["estimate"][:3]
-    np.testing.assert_allclose(found["sigma"][:3], np.sqrt(np.mean(off**2, axis=0)))
-    np.testing.assert_allclose(found["sigma_mc_error"][:3], found["sigma"][:3] / np.sqrt(2 * n))
-    np.testing.assert_allclose(found["bias"][:3], off.mean(axis=0), atol=1e-12)
-    np.testing.assert_allclose(found["bias_mc_error"][:3], off.std(axis=0, ddof=1) / np.sqrt(n))
-    np.testing.assert_allclose(found["sigma_orientation"], np.sqrt(np.mean(off**2)))
-    deviation = np.mean(off**2, axis=1).std(ddof=1) / np.sqrt(n) / (2.0 * found["sigma_orientation"])
-    np.testing.assert_allclose(found["sigma_orientation_mc_error"], deviation)
-    predicted = np.sqrt(np.mean(found["sigma_predicted"][:3] ** 2))
-    np.testing.assert_allclose(found["sigma_orientation_predicted"], predicted)
-    np.testing.assert_allclose(found["coverage"][:3], np.mean(np.abs(off) <= found["sigma_predicted"][:3], axis=0))
+    off = drawn - result["estimate"][:3]
+    np.testing.assert_allclose(result["sigma"][:3], np.sqrt(np.mean(off**2, axis=0)))
+    np.testing.assert_allclose(result["sigma_mc_error"][:3], result["sigma"][:3] / np.sqrt(2 * n))
+    np.testing.assert_allclose(result["bias"][:3], off.mean(axis=0), atol=1e-12)
+    np.testing.assert_allclose(result["bias_mc_error"][:3], off.std(axis=0, ddof=1) / np.sqrt(n))
+    np.testing.assert_allclose(result["sigma_orientation"], np.sqrt(np.mean(off**2)))
+    deviation = np.mean(off**2, axis=1).std(ddof=1) / np.sqrt(n) / (2.0 * result["sigma_orientation"])
+    np.testing.assert_allclose(result["sigma_orientation_mc_error"], deviation)
+    predicted = np.sqrt(np.mean(result["sigma_predicted"][:3] ** 2))
+    np.testing.assert_allclose(result["sigma_orientation_predicted"], predicted)
+    np.testing.assert_allclose(result["coverage"][:3], np.mean(np.abs(off) <= result["sigma_predicted"][:3], axis=0))
     # scaled errors follow from 15 degrees of freedom: estimate - truth over them is of Student
-    np.testing.assert_allclose(found["coverage_scaled"][:3], 1.0 - 2.0 * stats.t.sf(1.0, 15), atol=0.08)
+    np.testing.assert_allclose(result["coverage_scaled"][:3], 1.0 - 2.0 * stats.t.sf(1.0, 15), atol=0.08)
 
 
 @pytest.mark.parametrize("clip", ["median:5", "rayleigh"])
@@ -116,37 +116,37 @@ def quasar_study(tmp_path, n=400, **changes):
 def test_powers_of_higher_degree_are_stored_with_their_noise(tmp_path):
     at, _ = quasar_study(tmp_path, degree=3)
     assert check(at) is None
-    found = results(at, 300)
+    result = results(at, 300)
     toroidal, spheroidal = FIELDS.index("motion toroidal"), FIELDS.index("motion spheroidal")
-    assert found["power"][toroidal, 1] == pytest.approx(0.25, rel=0.02)
-    assert found["power_probability"][toroidal, 1] < 1e-6
-    assert found["power"][spheroidal, 1] < 0.01
-    shown = np.isfinite(found["power"])
+    assert result["power"][toroidal, 1] == pytest.approx(0.25, rel=0.02)
+    assert result["power_probability"][toroidal, 1] < 1e-6
+    assert result["power"][spheroidal, 1] < 0.01
+    shown = np.isfinite(result["power"])
     assert {tuple(place) for place in np.argwhere(shown)} == {(f, d) for f in (toroidal, spheroidal) for d in range(3)}
-    drawn, predicted = found["power_drawn"][shown], found["power_drawn_predicted"][shown]
-    assert np.all(np.abs(drawn - predicted) < 4.5 * found["power_drawn_mc_error"][shown])
-    np.testing.assert_allclose(predicted, found["power_noise"][shown])
+    drawn, predicted = result["power_drawn"][shown], result["power_drawn_predicted"][shown]
+    assert np.all(np.abs(drawn - predicted) < 4.5 * result["power_drawn_mc_error"][shown])
+    np.testing.assert_allclose(predicted, result["power_noise"][shown])
 
 
 def test_a_spin_for_each_bin_is_stored(tmp_path):
     at, spins = quasar_study(tmp_path, bins="phot_g_mean_mag=10,17")
     assert check(at) is None
-    found = results(at, 300)
+    result = results(at, 300)
     link = linksweep.tie(at["satellite"].path, "zero-motion", "spin", bins=("phot_g_mean_mag", [10.0, 17.0]))
-    np.testing.assert_allclose(found["spin_by_bin"][1:3], link.spin_by_bin)
-    np.testing.assert_allclose(found["spin_by_bin_error"][1:3], link.spin_by_bin_error)
+    np.testing.assert_allclose(result["spin_by_bin"][1:3], link.spin_by_bin)
+    np.testing.assert_allclose(result["spin_by_bin_error"][1:3], link.spin_by_bin_error)
     np.testing.assert_allclose(link.spin_by_bin_error.values.ravel(), link.error.values)
-    assert np.isnan(found["spin_by_bin"][0]).all()  # nobody is brighter than G = 10
+    assert np.isnan(result["spin_by_bin"][0]).all()  # nobody is brighter than G = 10
     for number, faint in ((1, False), (2, True)):
-        np.testing.assert_allclose(found["spin_by_bin"][number], spins[faint], atol=0.12)
-        np.testing.assert_allclose(found["sigma_by_bin"][number], found["sigma_by_bin_predicted"][number], rtol=0.2)
+        np.testing.assert_allclose(result["spin_by_bin"][number], spins[faint], atol=0.12)
+        np.testing.assert_allclose(result["sigma_by_bin"][number], result["sigma_by_bin_predicted"][number], rtol=0.2)
     assert "10 bins" in check(at | {"bins": "phot_g_mean_mag=1,2,3,4,5,6,7,8,9,10,11"})
 
 
 def test_new_positions_give_the_published_forecast():
-    found = results(point("pulsar-forecast", n_new=62), 2)
-    assert found["sigma_predicted"][:3].max() == pytest.approx(0.243, abs=5e-4)
-    assert np.isnan(found["estimate"]).all()  # there is no timing yet
+    result = results(point("pulsar-forecast", n_new=62), 2)
+    assert result["sigma_predicted"][:3].max() == pytest.approx(0.243, abs=5e-4)
+    assert np.isnan(result["estimate"]).all()  # there is no timing yet
 
 
 def test_mean_new_positions_are_not_displaced_by_parallaxes():
@@ -171,9 +171,9 @@ def test_a_limit_of_magnitude_leaves_sources_out(monkeypatch):
     edge = np.sort(everything)[40]
     monkeypatch.setattr(experiment.setup, "MAGNITUDE", "parallax")
     inside = everything[everything <= edge]  # a limit is within
-    of = design_of(at | {"g_max": edge, "n_new": 6, "truth": "zero"})
+    some = design_of(at | {"g_max": edge, "n_new": 6, "truth": "zero"})
     taken = design_of(at | {"g_max": edge, "n_new": len(inside)})
-    assert set(of.problem.satellite.columns["parallax"]) <= set(inside)
+    assert set(some.problem.satellite.columns["parallax"]) <= set(inside)
     assert sorted(taken.problem.satellite.columns["parallax"]) == sorted(inside)
 
 

@@ -40,40 +40,40 @@ def test_blank_values_decide_the_kind_and_are_no_zeros(tmp_path):
         changes[f"{name}_error"] = MaskedColumn(made.errors[i] / MAS, mask=blank)
     changes["pmra_pmdec_corr"] = MaskedColumn(made.correlations[9], mask=blank)
     changes["radial_velocity"] = MaskedColumn(made.radial_velocity, mask=[True, False, False, True])
-    found = read_table(gaia(tmp_path / "g.ecsv", made, **changes)).astrometry
-    assert list(kinds(found)) == ["five-parameter", "single epoch", "five-parameter", "five-parameter"]
-    assert np.all(np.isnan(found.values[2:, 1]))
-    assert np.isnan(found.radial_velocity[0])
+    result = read_table(gaia(tmp_path / "g.ecsv", made, **changes)).astrometry
+    assert list(kinds(result)) == ["five-parameter", "single epoch", "five-parameter", "five-parameter"]
+    assert np.all(np.isnan(result.values[2:, 1]))
+    assert np.isnan(result.radial_velocity[0])
     zeros = gaia(tmp_path / "z.ecsv", made, **{f"{name}_error": [0.1, 0.0, 0.1, 0.1] for name in NAMES[2:]})
     missing, exact = (read_table(zeros, TableOptions(zero_errors=how)).astrometry for how in ("missing", "exact"))
-    assert (list(kinds(missing)), list(exact.errors[2:, 1])) == (list(kinds(found)), [0.0] * 3)
+    assert (list(kinds(missing)), list(exact.errors[2:, 1])) == (list(kinds(result)), [0.0] * 3)
     blank = {f"{NAMES[i]}_{NAMES[j]}_corr": MaskedColumn(np.zeros(4), mask=True) for i, j in PAIRS}
     for ending in ("ecsv", "fits"):
-        found = read_table(gaia(tmp_path / f"blank.{ending}", made, **blank)).astrometry
-        np.testing.assert_array_equal(found.correlations, 0.0)  # as without these columns
+        result = read_table(gaia(tmp_path / f"blank.{ending}", made, **blank)).astrometry
+        np.testing.assert_array_equal(result.correlations, 0.0)  # as without these columns
 
 
 def test_errors_of_ra_in_the_icrf_are_seconds_of_time(tmp_path):
     (tmp_path / "icrf.txt").write_text(ICRF)
     table = read_table(tmp_path / "icrf.txt")
-    found = table.astrometry
+    result = table.astrometry
     dec = -(21 + 53 / 60 + 9.8359742 / 3600) * DEGREE
-    assert found.values[1, 0] == pytest.approx(dec, rel=1e-15)
-    assert found.values[1, 2] == pytest.approx(-10 / 60 * DEGREE)  # -00 deg is south
-    assert found.errors[0, 0] == pytest.approx(0.001154 * 15 * np.cos(dec) * ARCSEC)
-    assert (found.errors[1, 0], found.correlations[0, 0]) == (pytest.approx(0.0386714 * ARCSEC), 0.971)
+    assert result.values[1, 0] == pytest.approx(dec, rel=1e-15)
+    assert result.values[1, 2] == pytest.approx(-10 / 60 * DEGREE)  # -00 deg is south
+    assert result.errors[0, 0] == pytest.approx(0.001154 * 15 * np.cos(dec) * ARCSEC)
+    assert (result.errors[1, 0], result.correlations[0, 0]) == (pytest.approx(0.0386714 * ARCSEC), 0.971)
     assert list(table.names["iers_name"]) == ["2359-221", "0007+106", "x"]
-    assert list(kinds(found)) == ["position"] * 3
+    assert list(kinds(result)) == ["position"] * 3
 
 
 def test_rows_of_vlbi_in_hours_with_mjd_and_seconds_of_time_whose_errors_need_a_unit(tmp_path):
     row = {"star": ["HR 1099"], "mjd": [57388.5], "ra": ["12:00:00.0"], "dec": ["-00:30:00"], "e_ra": [1e-5]}
     Table(row | {"e_dec": [2e-4]}, units={"e_ra": "s", "e_dec": "arcsec"}).write(tmp_path / "vlbi.ecsv")
-    found = read_table(tmp_path / "vlbi.ecsv").astrometry
-    np.testing.assert_allclose(found.values[:2, 0], [np.pi, -0.5 * DEGREE], rtol=1e-9)
-    np.testing.assert_allclose(found.errors[:2, 0], np.array([0.15 * np.cos(0.5 * DEGREE), 0.2]) * MAS, rtol=1e-9)
-    assert found.epoch[0] == pytest.approx(2016.0, abs=1e-3)
-    assert list(kinds(found)) == ["single epoch"]
+    result = read_table(tmp_path / "vlbi.ecsv").astrometry
+    np.testing.assert_allclose(result.values[:2, 0], [np.pi, -0.5 * DEGREE], rtol=1e-9)
+    np.testing.assert_allclose(result.errors[:2, 0], np.array([0.15 * np.cos(0.5 * DEGREE), 0.2]) * MAS, rtol=1e-9)
+    assert result.epoch[0] == pytest.approx(2016.0, abs=1e-3)
+    assert list(kinds(result)) == ["single epoch"]
     mean = read_table(tmp_path / "vlbi.ecsv", TableOptions(positions="mean")).astrometry
     assert list(kinds(mean)) == ["position"]
     (tmp_path / "t.csv").write_text("name,epoch,RA,Dec,e_RA,e_Dec\nA,2015.5,1 2 3.4,-5 6 7.8,0.1,0.2\n")
@@ -195,8 +195,8 @@ def test_positions_that_lost_digits_are_said(tmp_path, unit, digits):
 def test_epochs_in_every_form_are_those_of_astropy(tmp_path, ending, epoch, days):
     columns = {"ra": [10.0, 20.0, 30.0], "dec": [0.0] * 3, "ra_error": [1.0] * 3, "dec_error": [1.0] * 3}
     Table(columns | {"epoch": epoch}).write(tmp_path / f"t.{ending}")
-    found = read_table(tmp_path / f"t.{ending}").astrometry.epoch
-    np.testing.assert_allclose(found, WHEN.jyear, rtol=0.0, atol=days / 365.25)
+    result = read_table(tmp_path / f"t.{ending}").astrometry.epoch
+    np.testing.assert_allclose(result, WHEN.jyear, rtol=0.0, atol=days / 365.25)
 
 
 @pytest.mark.parametrize(("ra", "dec", "form"), [*POSITIONS, ("_RAJ2000", "_DEJ2000", "tsv")])
