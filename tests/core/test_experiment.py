@@ -48,14 +48,14 @@ def test_samples_are_the_estimates_that_evaluate_adds_up(changes):
 
 
 def test_random_directions_of_a_study_keep_the_size_and_change_with_the_catalogue(monkeypatch):
-    result, prepare = [], simulate.prepare
-    monkeypatch.setattr(simulate, "prepare", lambda one, sky, *more: result.append(more[0]) or prepare(one, sky, *more))
+    drawn, prepare = [], simulate.prepare
+    monkeypatch.setattr(simulate, "prepare", lambda one, sky, *more: drawn.append(more[0]) or prepare(one, sky, *more))
     none = {"epsilon": (0.0, 0.0, 0.0), "satellite_errors": "none"}
     random = point(directions="random", epsilon_size=5.0, omega_size=0.5, **none)
     for k in range(4):
         kept = link.samples([random], 2, np.random.default_rng(1), np.random.default_rng(k))["estimate"]
         assert np.abs(kept).max() < 1e-6  # estimate - truth, which differs from catalogue to catalogue
-    truth = np.array(result) / points.MAS
+    truth = np.array(drawn) / points.MAS
     np.testing.assert_allclose(np.linalg.norm(truth, axis=-1), [[5.0, 0.5]] * 4, rtol=1e-6)
     assert np.abs(np.diff(truth, axis=0)).max(axis=(1, 2)).min() > 0.05
 
@@ -118,9 +118,8 @@ def test_the_error_of_a_bias_is_right_on_the_average_where_catalogues_have_sever
     expected = scatter**2 / n_cat + 9.0 / n
     sums["error"][0], sums["error_products"][0] = n * np.sqrt(expected), n * (scatter**2 + 9.0)  # the sums expected
     sums["batch_mean_squares"][0] = n * (scatter**2 + 9.0 / rows)
-    result = (
-        link.summarise(sums, np.full(samples, float(n)), np.full(samples, float(n_cat)))["bias_mc_error"][:, 0] ** 2
-    )
+    counts = np.full(samples, float(n)), np.full(samples, float(n_cat))
+    result = link.summarise(sums, *counts)["bias_mc_error"][:, 0] ** 2
     inside = np.square(error - error.mean(axis=3, keepdims=True)).sum(axis=(1, 2, 3)) / (n - n_cat * batches) / n
     assert np.all(result[1:] > inside[1:] * (1.0 - 1e-9))  # also where catalogues seem not to differ
     assert result[0] * (n_cat - 3) / (n_cat - 1) == pytest.approx(expected)  # without the factor for few catalogues
@@ -199,15 +198,15 @@ def test_what_cannot_be_stacked_is_computed_one_by_one(changes):
     assert_same_bits(here, 10, 3)
 
 
-def without_errors(result, some):
+def without_errors(sky, some):
     """By themselves they would be linked in another way."""
-    one = np.full((*result.ra.shape, 4), points.MAS)
-    return replace(result, errors=OwnErrors(one), reference=OwnErrors(np.where(some[..., None], 0.0, one)))
+    one = np.full((*sky.ra.shape, 4), points.MAS)
+    return replace(sky, errors=OwnErrors(one), reference=OwnErrors(np.where(some[..., None], 0.0, one)))
 
 
-def at_a_pole(result, some):
+def at_a_pole(sky, some):
     """Where sines of noisy positions are computed in another way."""
-    return replace(result, dec=np.where(some & (np.arange(12) == 3), 89.99 * points.DEGREE, result.dec))
+    return replace(sky, dec=np.where(some & (np.arange(12) == 3), 89.99 * points.DEGREE, sky.dec))
 
 
 @pytest.mark.parametrize(

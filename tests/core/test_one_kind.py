@@ -61,9 +61,7 @@ def test_one_kind_of_observable_is_solved_alone(kind, weighting, side, method, c
     scatter = np.sqrt((np.outer(sigma, sigma) ** 2 + expected**2) / n_sim)
     assert np.all(np.abs(result["covariance"][0, part, part] - expected) < 4.5 * scatter)
     assert np.all(np.isnan([result["sigma"][0, beside], result["bias"][0, beside], result["bias_mc_error"][0, beside]]))
-    assert np.all(
-        np.isnan([result[name_beside], result[f"{name_beside}_predicted"], result[f"{name_beside}_mc_error"]])
-    )
+    assert np.all(np.isnan([result[name_beside + end] for end in ("", "_predicted", "_mc_error")]))
     assert result["dof"] == 2 * N_OBJ - 3
     if weighting == "inverse-variance":
         if not correlated:

@@ -80,7 +80,7 @@ def run(place, rates=(1.0, 2.0), sampling=None, **changed):
     return linksweep.run(study | {"experiment": experiment}, place, pool="serial", max_failures="100%")
 
 
-def returning(*values):
+def gives(*values):
     return lambda points, n_sim, rng, catalogue_rng: {"total": [list(values) if len(values) > 1 else values[0]]}
 
 
@@ -92,13 +92,10 @@ def called(function):
     return {"evaluate": lambda points, n_sim, rng, catalogue_rng: function()}
 
 
-THREE = {"sums": {"total": (3,)}, "evaluate": returning(1.0, math.nan, math.inf)} | summary(lambda total: total[:, 0])
+THREE = {"sums": {"total": (3,)}, "evaluate": gives(1.0, math.nan, math.inf)} | summary(lambda total: total[:, 0])
 RESULTS = [
-    (
-        {"sums": {"total": (5,)}, "evaluate": returning(1.0, 1.0)},
-        "the sum 'total' has the shape (1, 2), expected (1, 5)",
-    ),
-    ({"evaluate": returning(1j)}, "of type complex128, expected real numbers"),
+    ({"sums": {"total": (5,)}, "evaluate": gives(1.0, 1.0)}, "the sum 'total' has the shape (1, 2), expected (1, 5)"),
+    ({"evaluate": gives(1j)}, "of type complex128, expected real numbers"),
     (called(lambda: {"totl": [1.0]}), "'totl', which is no declared sum; did you mean 'total'?; evaluate does not"),
     ({"summarise": lambda sums, n, n_cat: {"maen": n}}, "'maen', which is no declared output; did you mean 'mean'?"),
     (summary(lambda total: np.ones((3, len(total)))), "summarise: the output 'mean' has the shape (3, "),
@@ -127,7 +124,7 @@ def test_only_points_with_wrong_results_fail_among_many_and_again(tmp_path, swee
 
 def test_nan_is_a_value_where_it_is_declared_and_a_warning_says_of_how_many_points_it_is(tmp_path):
     declared = {"outputs": (Output("mean", "", "mean", nan=True),), "nan_sums": ("total",)}
-    dataset = run(tmp_path / "s.zarr", evaluate=returning(math.nan), warn=lambda point: ["careful"], **declared)
+    dataset = run(tmp_path / "s.zarr", evaluate=gives(math.nan), warn=lambda point: ["careful"], **declared)
     assert (dataset["status"].values.tolist(), dataset.attrs["warnings"]) == ([1, 1], '["careful (2 points)"]')
 
 

@@ -58,10 +58,7 @@ def evil(tmp_path_factory, honest):
     (place, code), here = honest, tmp_path_factory.mktemp("here")  # each time another: code is imported once from one
     shutil.copytree(place / "g.zarr", store := here / "g.zarr")
     (here / "l").symlink_to(store)
-    forge(
-        store,
-        lambda reported: reported.update(study_document=reported["study_document"].replace(str(place), f"{here}/l")),
-    )
+    forge(store, lambda root: root.update(study_document=root["study_document"].replace(str(place), f"{here}/l")))
     (store / "x.py").write_text(code)
     (store / "study.toml").write_text(STUDY)
     (place / "marker").unlink(missing_ok=True)

@@ -167,12 +167,8 @@ def test_an_accelerated_satellite_in_a_forecast_and_in_draws(tmp_path):
     assert np.all(np.diff(plan.error.sel(unknown="omega_x")) < 0.0)
     powers = np.array([*[0.5] * 3, 1.5, 1.5, 2.5, 2.5, 3.5, 3.5])  # from DR4, errors by T^-1/2 and so on
     shrunk = (66.0 / 126.0) ** powers
-    later = (
-        replace(made.ours, epoch=np.full(12, 2020.0)),
-        made.accelerations,
-        made.covariance * np.outer(shrunk, shrunk),
-    )
-    by_hand = satellite_table(tmp_path / "dr5.fits", *later, made.sizes)
+    dr5 = replace(made.ours, epoch=np.full(12, 2020.0)), made.accelerations, made.covariance * np.outer(shrunk, shrunk)
+    by_hand = satellite_table(tmp_path / "dr5.fits", *dr5, made.sizes)
     result = linksweep.forecast(by_hand, tables[1], "orientation,spin", **options).error[0]
     np.testing.assert_allclose(plan.error.sel(stage="dr5"), result, rtol=1e-9)
     fixed = {"satellite": str(tables[0]), "reference": str(tables[1])} | options

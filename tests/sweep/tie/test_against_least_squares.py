@@ -123,20 +123,18 @@ def least_squares(tables, difference, weights, factor, resamples=2):
     formal = to_x @ big_d @ to_x.T
     chi2, expected = residual @ big_w @ residual, np.trace(big_w @ of_residuals)
     dof = sum(c for c, f in zip(count, factor, strict=True) if f > 0.0) - 6
-    result = {"x": x, "chi2": chi2, "expected": expected, "dof": dof, "formal": formal, "count": np.array(count)}
-    result |= {"scaled": formal * chi2 / expected, "jackknife": scatter(alone[used])}
-    result["cells"] = scatter([solution(cell != one) for one in np.unique(cell[used])])
-    result["bootstrap"] = np.cov(np.transpose([solution(rng.integers(0, n, n)) for _ in range(resamples)]))
-    result["sandwich"] = inverse @ (scores.T @ scores) @ inverse * len(used) / (len(used) - 1)
-    result |= {"without": alone, "cook": np.einsum("sk,kl,sl->s", alone - x, total, alone - x) / 6.0}
+    dense = {"x": x, "chi2": chi2, "expected": expected, "dof": dof, "formal": formal, "count": np.array(count)}
+    dense |= {"scaled": formal * chi2 / expected, "jackknife": scatter(alone[used])}
+    dense["cells"] = scatter([solution(cell != one) for one in np.unique(cell[used])])
+    dense["bootstrap"] = np.cov(np.transpose([solution(rng.integers(0, n, n)) for _ in range(resamples)]))
+    dense["sandwich"] = inverse @ (scores.T @ scores) @ inverse * len(used) / (len(used) - 1)
+    dense |= {"without": alone, "cook": np.einsum("sk,kl,sl->s", alone - x, total, alone - x) / 6.0}
     each = list(zip(plain, places, strict=True))
-    result["discrepancy"] = np.array([residual[p] @ g @ residual[p] for g, p in each])
-    result["discrepancy_expected"] = np.array([np.trace(g @ of_residuals[p, p]) for g, p in each])
+    dense["discrepancy"] = np.array([residual[p] @ g @ residual[p] for g, p in each])
+    dense["discrepancy_expected"] = np.array([np.trace(g @ of_residuals[p, p]) for g, p in each])
     blocks = slice(0, 3), slice(3, 6)
-    result["share"] = np.array(
-        [[np.trace(np.linalg.inv(total[b, b]) @ m[b, b]) / 3.0 for b in blocks] for m in normals]
-    )
-    return SimpleNamespace(**result, residual=residual, error=np.sqrt(np.diag(big_d)))
+    dense["share"] = np.array([[np.trace(np.linalg.inv(total[b, b]) @ m[b, b]) / 3.0 for b in blocks] for m in normals])
+    return SimpleNamespace(**dense, residual=residual, error=np.sqrt(np.diag(big_d)))
 
 
 def linked(tables, **options):

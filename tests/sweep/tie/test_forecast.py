@@ -238,7 +238,5 @@ def test_estimated_noise_is_in_new_rows_and_is_not_scaled_to_a_release(tmp_path)
     later = gaia(tmp_path / "later.fits", noisy(scaled(ours, "dr3", "dr5"), "satellite"))
     rows = gaia(tmp_path / "all.fits", rows, source_id=source)
     expected = tie(later, rows, "orientation,spin", errors="formal", accept_misfit=True).error
-    result = in_a_study(
-        tmp_path, *tables, release="dr5", jitter="estimate", n_new=12, new_epoch=2031.0, new_error=ERROR
-    )
-    np.testing.assert_allclose(result, expected, rtol=1e-5)
+    error = in_a_study(tmp_path, *tables, release="dr5", jitter="estimate", n_new=12, new_epoch=2031.0, new_error=ERROR)
+    np.testing.assert_allclose(error, expected, rtol=1e-5)

@@ -49,20 +49,17 @@ def test_it_is_the_solution_of_the_whole_table(tmp_path, monkeypatch, options):
     whole = tie(path, "zero-motion", **options)
     monkeypatch.setattr("linksweep.sweep.tie.setup.FROM_ROWS", 1000)
     monkeypatch.setattr("linksweep.sweep.tie.link.HEAVIEST", 3000)
-    result = tie(path, "zero-motion", **options)
+    split = tie(path, "zero-motion", **options)
     error = whole.errors.sel(error_kind="formal").values
-    np.testing.assert_allclose(result.estimate / error, whole.estimate / error, atol=1e-9)
-    np.testing.assert_allclose(result.errors.sel(error_kind="formal"), error, rtol=1e-9)
+    np.testing.assert_allclose(split.estimate / error, whole.estimate / error, atol=1e-9)
+    np.testing.assert_allclose(split.errors.sel(error_kind="formal"), error, rtol=1e-9)
     if "cells" in options.get("errors", ""):
-        np.testing.assert_allclose(result.error, whole.error, rtol=1e-8)
+        np.testing.assert_allclose(split.error, whole.error, rtol=1e-8)
     for name in ("weight_factor", "discrepancy", "n_sources", "chi2_expected"):
-        np.testing.assert_allclose(result[name], whole[name], rtol=1e-7, atol=1e-9, err_msg=name)
-    heavy = [[note for note in link.attrs["notes"] if "of the weight" in note] for link in (result, whole)]
+        np.testing.assert_allclose(split[name], whole[name], rtol=1e-7, atol=1e-9, err_msg=name)
+    heavy = [[note for note in link.attrs["notes"] if "of the weight" in note] for link in (split, whole)]
     assert (heavy[0], bool(heavy[0])) == (heavy[1], "20.995" in str(options))
-    assert (result.attrs["satellite_sha256"], *result.source.values) == (
-        whole.attrs["satellite_sha256"],
-        *range(1, 3001),
-    )
+    assert (split.attrs["satellite_sha256"], *split.source.values) == (whole.attrs["satellite_sha256"], *range(1, 3001))
 
 
 @pytest.mark.parametrize("rows", [1000, 10**6], ids=["by groups", "whole"])
