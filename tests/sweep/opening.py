@@ -20,7 +20,6 @@ from linksweep.sweep.running import run as running
 from linksweep.sweep.running.merge import MERGED, merge
 from linksweep.sweep.running.progress import Progress
 from linksweep.sweep.running.run import find_store, identity, open_store, plan_study
-from linksweep.sweep.running.scaling import measure_scaling
 from linksweep.sweep.running.status import status_report
 from linksweep.sweep.stores import ledger, location
 from linksweep.sweep.stores.integrity import MANIFEST, checksum, sealed, unsealed
@@ -113,16 +112,14 @@ def dying(monkeypatch, kind=Folder):
 
 def until_done(left, steps, call, between=lambda: None):
     """Call until the end, killed after ``steps`` changes, then half as many; return the result and number of kills."""
-    for killed, most in enumerate((steps, steps // 2)):
+    for killed, most in enumerate((steps, steps // 2, 10**9)):
         left[0] = most
         try:
-            return call(), killed
-        except Killed:
-            left[0] = 10**9
-            between()
+            with suppress(Killed):
+                return call(), killed
         finally:
             left[0] = 10**9
-    return call(), 2
+        between()
 
 
 def existing_store(where, study):
