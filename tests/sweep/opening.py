@@ -112,7 +112,7 @@ def dying(monkeypatch, kind=Folder):
 
 def until_done(left, steps, call, between=lambda: None):
     """Call until the end, killed after ``steps`` changes, then half as many; return the result and number of kills."""
-    for killed, most in enumerate((steps, steps // 2, 10**9)):
+    for killed, most in enumerate((steps, steps // 2)):
         left[0] = most
         try:
             with suppress(Killed):
@@ -120,6 +120,7 @@ def until_done(left, steps, call, between=lambda: None):
         finally:
             left[0] = 10**9
         between()
+    return call(), 2
 
 
 def existing_store(where, study):

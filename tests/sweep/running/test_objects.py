@@ -132,10 +132,8 @@ def test_objects_and_numbers_that_cannot_be_told_apart_are_refused(axes, said, t
 def test_objects_of_a_file_that_is_loaded_apart_are_refused(tmp_path, monkeypatch):
     (tmp_path / "twice.py").write_text("import enum\nK = enum.Enum('K', 'A B')\ndef g(k): return k is K.B\n")
     monkeypatch.syspath_prepend(tmp_path)
-    twice = importlib.import_module("twice")
     with pytest.raises(linksweep.SweepError, match=r"axes\.k: A is of the module twice, which .* has loaded apart"):
-        linksweep.run(f"{tmp_path}/twice.py:g", tmp_path / "s", axes={"k": [*twice.K]})
-    assert linksweep.run(twice.g, tmp_path / "s", axes={"k": [*twice.K]}).g.values.tolist() == [False, True]
+        linksweep.run(f"{tmp_path}/twice.py:g", tmp_path / "s", axes={"k": [*importlib.import_module("twice").K]})
 
 
 def test_what_may_be_none_can_be_none(tmp_path, sweep):
