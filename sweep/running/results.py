@@ -141,7 +141,9 @@ def assemble(plan: Plan, accumulator: Accumulator, location: Location) -> Labell
     if done.any():
         total, n = grid.with_repeats(accumulator.total)[done], realisations[done].astype(float)
         results = accumulator.reducer.finish(total, n, np.full(len(n), float(study.sampling.n_cat)))
-    for output in experiment.outputs:
+    # Of a function whose points have all failed, it depends on time, and on parts, whether a block told the outputs.
+    is_unknown = experiment.as_record() and np.isin(status, (Status.FAILED, Status.EXCLUDED)).all()
+    for output in () if is_unknown else experiment.outputs:
         if output.name in study.axes:
             continue  # the coordinate of that name has these values already
         shape, within = experiment.shape_of(output), None
