@@ -214,6 +214,8 @@ class Reach:
         self._is_running, self._changed = first is None, frozenset(first.changed() if first else ())
         # Of modules that make paths of their place, with their names: in a copy of them these paths are others.
         self.folders: set[tuple[str, str]] = {*first.folders} if first else set()
+        # Paths that stand in the source: these are the same in a copy.
+        self.written: set[str] = {*first.written} if first else set()
         self._called: set[str] = set()
         self._changes: list[tuple[str, set[str]]] = []
         self.places: dict[str, str] = {}
@@ -341,7 +343,9 @@ class Reach:
 
     def _placed(self, text: str) -> str:
         """Return a path as it is seen from the nearest module that has more than the root in common with it."""
-        near = [one for one in self.folders if text[:1] == os.sep and os.path.commonpath((one[0], text)) != os.sep]
+        if text[:1] != os.sep or text.startswith(tuple(self.written)):
+            return text
+        near = [one for one in self.folders if os.path.commonpath((one[0], text)) != os.sep]
         seen = [(os.path.relpath(text, folder), name) for folder, name in near]
         return "{} from {}".format(*min(seen, key=lambda one: (one[0].count(".."), one))) if seen else text
 
@@ -411,6 +415,7 @@ class Reach:
         if file.endswith(tuple(EXTENSION_SUFFIXES)):
             self._keep(f"file {Path(file).name}", digest_of(Path(file).read_bytes()))
         tree = tree_of(file, vars(module))
+        self.written.update(_index(tree)[os.sep])
         if _index(tree)[PLACES]:
             self.folders |= {(os.path.dirname(one), name) for one in (os.path.abspath(file), os.path.realpath(file))}
         for one in tree.body:
@@ -703,7 +708,7 @@ def _all_names(code: CodeType | None) -> set[str]:
 @lru_cache(maxsize=256)
 def _index(tree: ast.Module) -> Mapping[Any, list[Any]]:
     """Return functions by the line that they begin in, decorators included, and their name; classes by theirs; and the
-    other statements of a module by the names in them.
+    other statements of a module by the names in them, and its absolute paths.
     """
     index: dict[Any, list[Any]] = defaultdict(list)
     for node in ast.walk(tree):
@@ -716,6 +721,8 @@ def _index(tree: ast.Module) -> Mapping[Any, list[Any]]:
             index[ast.ImportFrom].append(node)
         elif getattr(node, "id", getattr(node, "attr", "")) in PLACES:
             index[PLACES].append(node)
+        elif isinstance(text := getattr(node, "value", None), str) and len(text) > 1 and text[0] == os.sep:
+            index[os.sep].append(text)
     for one in (one for one in tree.body if not isinstance(one, DEFINITIONS)):
         nodes = [node for node in ast.walk(one) if isinstance(node, ast.Name | ast.alias)]
         for name in {node.id if isinstance(node, ast.Name) else node.asname or node.name for node in nodes}:

@@ -488,8 +488,8 @@ def unit_cube(dimensions: int) -> dict[str, Any]:
 
 def remarks(origin: Mapping[str, Any]) -> list[str]:
     """Return the warnings of a run about a design."""
-    n, design = origin.get("n", 1), DESIGNS.get(origin.get("design", ""))
-    if design is None or not design.powers_of_two or n & (n - 1) == 0:
+    n, design = origin.get("n"), DESIGNS.get(str(origin.get("design")))
+    if design is None or not design.powers_of_two or type(n) is not int or n & (n - 1) == 0:
         return []
     below = 1 << (n.bit_length() - 1)
     return [f"points.n = {n:,} is not a power of two, and Sobol points spread less evenly: {below:,} or {2 * below:,}?"]
@@ -554,7 +554,7 @@ def _apart(table: Mapping[str, Column], form: PointsForm, values: Values) -> tup
         match = BRACKETS.fullmatch(written)
         is_known = match and match[1] in {*parameters, *form.labels}.difference(table, columns, labels)
         name, behind = match.groups() if match and is_known else (written, "")
-        unit, said = in_table or behind, stated.pop(written, stated.pop(name, ""))
+        unit, said = in_table or behind, "" if name in form.labels else stated.pop(written, stated.pop(name, ""))
         columns[name] = cells
         with problems.at(("points", form.source, name)):
             if name in form.labels:
@@ -570,7 +570,7 @@ def _apart(table: Mapping[str, Column], form: PointsForm, values: Values) -> tup
                     raise ValueError(f"has no value in row {rows_listed(missing)}")
                 columns[name] = in_unit(cells, unit, one) if unit else cells
     for name in stated:
-        problems.add(("points", "units", name), f"is no column{suggest(name, [*columns, *labels])}")
+        problems.add(("points", "units", name), f"is no column of a parameter{suggest(name, [*columns])}")
     results = [POINT, *experiment.coordinates, *(output.name for output in experiment.outputs)]
     taken = "is a parameter or a result; labels are other columns (reset_index() makes a column of an index)"
     for name in form.labels:

@@ -122,7 +122,7 @@ ALL_WRONG = [
     (far, {"points": {"design": "random", "n": 1, "ranges": {"distance": HERE}}}, "distance: is in km; give numbers"),
     (far, {"axes": {"distance": [1.0] * u.s}}, "axes.distance: is in s, and the parameter is in m"),
     (far, {"points": {"columns": {"distance [cm]": [1.0]}, "units": {"distance": "m"}}}, "is in cm, and not in m"),
-    (far, {"points": {"columns": {"distance": [1.0]}, "units": {"distanc": "m"}}}, "units.distanc: is no column; did"),
+    (far, {"points": {"columns": {"distance": [1.0]}, "units": {"distanc": "m"}}}, "units.distanc: is no column of"),
     (far, {"points": QTable({"distance": Masked([1.0, 2.0] * u.km, mask=[0, 1])})}, "distance: has no value in row 2"),
     # which parameters a wrong table has is not known: those without a default are not asked for
     (far, {"points": sobol(n="4")}, "points.n: input should be a valid integer, not '4'"),
