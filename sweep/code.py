@@ -1164,14 +1164,11 @@ def _reach(value: Any, module: str = "") -> Reach:
     return reached
 
 
-def loaded_apart(value: Any, reference: str) -> str:
-    """Return a module of a value that the file at a loaded reference has loaded apart, so that its classes are others;
-    '' if there is none.
-    """
+def loaded_apart(reference: str) -> set[str]:
+    """Return the modules whose files a loaded reference has loaded as others, so that there are two of each class."""
     code = sources_of(reference)
     files = {*code.files.values()} if isinstance(code, LocalFiles) else set()
-    twice = {n for n, one in sys.modules.items() if getattr(one, "__file__", "") in files and not n.startswith(PREFIX)}
-    return min(twice & reach_of({"": value}).modules.keys(), default="") if twice else ""
+    return {n for n, one in sys.modules.items() if getattr(one, "__file__", "") in files and not n.startswith(PREFIX)}
 
 
 def files_read(reference: str) -> dict[str, Path]:

@@ -240,13 +240,9 @@ def _claims(dataset: xr.Dataset) -> Iterator[Comparison]:
             measured = [Measured(claim.where, missing="; ".join(error.problems))]
         about = _about(dataset, claim.text, in_words(derived), unit_of(dataset, derived), claim.source)
         number, rounding = float(claim.published), 0.0 if claim.exact else printed_rounding(claim.published)
-        tolerance, reason, not_comparable = (
-            claim.tolerance or 0.0,
-            claim.tolerance_reason or "",
-            claim.not_comparable or "",
-        )
+        tolerance, reason = claim.tolerance or 0.0, claim.tolerance_reason or ""
         for one in measured:
-            yield judged(about, one, number, rounding, tolerance, reason, claim.null, not_comparable)
+            yield judged(about, one, number, rounding, tolerance, reason, claim.null, claim.not_comparable or "")
 
 
 def _about(dataset: xr.Dataset, what: str, derived: str, unit: str, source: str) -> dict[str, str]:

@@ -142,8 +142,7 @@ class Lines:
         """
         numbers = {unit: limit.number_in(unit) for unit in dict.fromkeys(line.unit for line in self.lines)}
         if np.isnan([*numbers.values()]).all():
-            unit = self.lines[0].unit or "no unit"
-            raise SweepError(f"{limit.variable} is in {unit}, not convertible to {limit.unit}")
+            raise limit.refused_in(self.lines[0].unit)
         return numbers
 
     def place(self, line: Line) -> dict[str, Any]:
@@ -440,6 +439,10 @@ class Limit:
         factor = factor_between(self.unit, unit) if self.unit else 1.0
         return math.nan if factor is None else rescaled(self.number, factor)
 
+    def refused_in(self, unit: str) -> SweepError:
+        """Return an error for a variable that is in a unit of another kind."""
+        return SweepError(f"{self.variable} is in {unit or 'no unit'}, not convertible to {self.unit}")
+
     def is_met(self, values: Array, number: float) -> NDArray[np.bool_]:
         """Return where values meet the condition; ``number`` is the limit in their unit."""
         return np.asarray(_COMPARE[self.sign](values, number))
@@ -472,7 +475,7 @@ def points_where(dataset: xr.Dataset, limit: Limit) -> xr.Dataset:
     quantity.require_done(dataset)
     threshold = limit.number_in(unit := units_of(array.attrs))
     if math.isnan(threshold):
-        raise SweepError(f"{limit.variable} is in {unit or 'no unit'}, not convertible to {limit.unit}")
+        raise limit.refused_in(unit)
     return dataset.isel({POINT: np.flatnonzero(limit.is_met(array.values, threshold))})
 
 
