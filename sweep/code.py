@@ -136,12 +136,16 @@ unparsed = lru_cache(maxsize=4096)(ast.unparse)
 
 def without_package(text: str) -> str:
     """Return a text without the packages of local modules, whose names differ from version to version, and with the
-    name by which others import the module that `python -m` executes.
+    name by which others import the script or module that Python executes.
     """
     text = re.sub(r"(?<![\w.'\"/])__mp_main__\b", MAIN[0], text) if MAIN[1] in text else text
-    spec = getattr(sys.modules.get("__main__"), "__spec__", None) if "__main__" in text else None
-    if spec and distributions_at(spec.origin, spec.name.partition(".")[0]) is None:  # else that executes a script
-        text = re.sub(r"(?<![\w.'\"/])__main__\b", spec.name, text)
+    if "__main__" in text and not (sys.flags.interactive or hasattr(sys, "ps1")):  # where %run would change the name
+        main = sys.modules.get("__main__")
+        ran = [(spec.origin, spec.name)] if (spec := getattr(main, "__spec__", None)) else []
+        files = str(getattr(main, "__file__", "")), *sys.argv[:1]  # the second where cProfile executes it
+        ran += [(file, Path(file).stem) for file in files if file.endswith(".py")]
+        names = [name for file, name in ran if distributions_at(file, name.partition(".")[0]) is None]
+        text = re.sub(r"(?<![\w.'\"/])__main__\b", (*names, MAIN[0])[0], text)
     return re.sub(rf"{PREFIX}\w*\.?", "", text) if PREFIX in text else text
 
 

@@ -307,21 +307,21 @@ def test_a_function_that_a_notebook_reloads_by_itself_is_that_of_its_file(tmp_pa
     assert run().result.values.tolist() == [3, 6]
 
 
-def test_a_module_is_the_same_code_where_python_executes_it_whatever_it_gathers_in_a_loop(tmp_path, monkeypatch):
+def test_a_module_or_script_is_the_same_code_where_python_executes_it_whatever_it_gathers(tmp_path, monkeypatch):
     (tmp_path / "pk").mkdir()
     (tmp_path / "pk" / "executed.py").write_text(EXECUTED)
+    (tmp_path / "script.py").write_text(EXECUTED.replace("s.zarr", "t.zarr"))
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.chdir(tmp_path)
     for here in ("1", "1", "1 + 1"):
         (tmp_path / "pk" / "__init__.py").write_text(f"import enum\nenum.here = {here}\n")
-        with (
-            pytest.raises(linksweep.SweepError, match="its code has changed")
-            if "+" in here
-            else contextlib.nullcontext()
-        ):
+        changed = pytest.raises(linksweep.SweepError, match="its code has changed")
+        with changed if "+" in here else contextlib.nullcontext():
             assert runpy.run_module("pk.executed", run_name="__main__", alter_sys=True)["first"] == 18
             assert importlib.import_module("pk.executed").run(4) == 36
-        for name in [name for name in sys.modules if name.partition(".")[0] == "pk"]:
+        assert runpy.run_path("script.py", run_name="__main__")["first"] == 18
+        assert importlib.import_module("script").run(4) == 36
+        for name in [name for name in sys.modules if name.partition(".")[0] in ("pk", "script")]:
             del sys.modules[name]
 
 

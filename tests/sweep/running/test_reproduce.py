@@ -122,6 +122,7 @@ def test_nothing_of_a_scripts_own_options(here, name, monkeypatch):
     (here / name).write_text(SCRIPT)
     monkeypatch.setattr(sys, "argv", [name, "--password", SECRET, f"--token={SECRET}"])
     monkeypatch.setattr(sys, "orig_argv", [sys.executable, *sys.argv])
+    monkeypatch.setattr(sys, "ps1", "In: ", raising=False)
     for run_name in ("__main__", "__mp_main__"):  # and what multiprocessing calls it in a process that it spawns
         double = runpy.run_path(name, run_name=run_name)["double"]
     del (main := type(sys)("__main__")).__spec__  # as IPython has it when it executes %run again
