@@ -203,19 +203,19 @@ class Grid:
         places = self.places(indices)
         known = [entry for entry in self._texts_along if entry[0] not in left_out]
         gone = [missing for _, missing, _ in self._raw(indices)] if self.study.when else []
-        texts = list[Iterable[str | None]]()
+        texts = list[Iterable[bytes]]()
         for name, dimension, along in known:
             numbers = itertools.repeat(0, len(indices)) if dimension is None else places[dimension]
             if name in self.study.when:
                 numbers = [-1 if name in some else number for number, some in zip(numbers, gone, strict=True)]
             texts.append(map(along.__getitem__, numbers))
-        rows: Iterable[Iterable[Any]] = zip(*texts, strict=True) if texts else itertools.repeat((), len(indices))
-        return [blake2b(f"{{{', '.join(filter(None, row))}}}".encode(), digest_size=16).digest() for row in rows]
+        rows: Iterable[Iterable[bytes]] = zip(*texts, strict=True) if texts else itertools.repeat((), len(indices))
+        return [blake2b(b"{%b}" % text[:-2], digest_size=16).digest() for text in map(b"".join, rows)]
 
     @cached_property
-    def _texts_along(self) -> list[tuple[str, str | None, list[str | None]]]:
+    def _texts_along(self) -> list[tuple[str, str | None, list[bytes]]]:
         """Each parameter that may count in a digest, in order: the dimension that it is along, None where it is fixed,
-        and its text at each place there, and at last where it is missing; None where it is at its default.
+        and its text at each place there, and at last where it is missing; empty where it is at its default.
         """
         dimension_of = {axis: dimension for dimension, axes in self.dimensions.items() for axis in axes}
         defaults, axes = self.study.experiment.defaults(), self.study.axes
@@ -224,10 +224,10 @@ class Grid:
         for name in sorted(values):
             key, default = json.dumps(name), defaults[name]
             different = {(type(v), v) for v in values[name] if is_other(v, default)}
-            texts = {one: f"{key}: {sorted_json(one[1])}" for one in different}
+            texts = {one: f"{key}: {sorted_json(one[1])}, ".encode() for one in different}
             if texts or name in self.study.when:
-                missing = [f"{key}: null" if is_other(None, default) else None] if name in self.study.when else []
-                along = [texts.get((type(v), v)) for v in values[name]] + missing
+                missing = [f"{key}: null, ".encode() if is_other(None, default) else b""]
+                along = [texts.get((type(v), v), b"") for v in values[name]] + missing * (name in self.study.when)
                 entries.append((name, dimension_of.get(name), along))
         return entries
 

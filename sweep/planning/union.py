@@ -293,6 +293,8 @@ def _counts(
     """
     both = [*theirs.study.counts.items(), *mine.study.counts.items()]
     counts = {name: n for name, n in sorted(both, key=lambda one: one[1]) if n}
+    if len(Grid(whole).indices()) in (len(places), len(mine.indices())):  # which one of them has all
+        return counts
     return counts | all_but(whole, {*theirs.digests(places), *mine.digests(mine.indices()), *in_ledger})
 
 

@@ -79,7 +79,9 @@ class _Points:
 
     def find(self, starts: NDArray[np.uint64]) -> NDArray[np.intp]:
         """Return the indices of points by the first 8 bytes of their digests, -1 for those of no point."""
-        at = np.minimum(np.searchsorted(self._starts, starts), len(self._starts) - 1)
+        order = np.argsort(starts)  # in order they are found three times as fast
+        at = np.empty_like(order)
+        at[order] = np.minimum(np.searchsorted(self._starts, starts[order]), len(self._starts) - 1)
         return np.where(self._starts[at] == starts, self._indices[at], -1)
 
     def progress(self, opened: OpenStore, blocks: NDArray[Any], failed: Iterable[bytes]) -> list[NDArray[Any]]:
