@@ -55,7 +55,7 @@ from linksweep.sweep.functions.results import unit_of
 from linksweep.sweep.studies.study import POINT, Form, PointsForm, PointTable, Sampling
 from linksweep.sweep.tables import options
 from linksweep.sweep.tables.columns import content_digest, rows_listed, table_file
-from linksweep.sweep.tables.reader import BRACKETS, is_parquet, lists_in, read_table
+from linksweep.sweep.tables.reader import BRACKETS, is_parquet, objects_in, read_table
 
 # The most values of an axis, and the most rows of a table of points.
 MAX_VALUES = 1_000_000
@@ -628,8 +628,8 @@ def _in_file(file: str, values: Values) -> dict[str, Column]:
                 int(str(text)) if re.fullmatch(r"[+-]?\d+", str(text)) else text if cell is None else cell
                 for text, cell in zip(texts, cells[name], strict=True)
             ]
-    lists = lists_in(path) if is_parquet(path) else {}
-    cells |= {name: some for name, some in lists.items() if name in ours and ours[name].takes_objects}
+    objects = objects_in(path) if is_parquet(path) else {}
+    cells |= {name: some for name, some in objects.items() if name in ours and ours[name].takes_objects}
     return {name: column._replace(cells=cells[name]) for name, column in columns.items()}
 
 

@@ -480,12 +480,13 @@ def read_row_group(path: Path, group: int, columns: Sequence[str]) -> Any:
         return _from_arrow(file.read_row_group(group, columns=names, use_threads=False), columns)
 
 
-def lists_in(path: Path) -> dict[str, list[Any]]:
-    """Return the columns of lists in a Parquet file, which a table has as texts."""
+def objects_in(path: Path) -> dict[str, list[Any]]:
+    """Return the columns of lists and of times in a Parquet file, which a table has as texts."""
     with path.open("rb") as source, _parquet(source) as file:
-        from pyarrow.types import is_nested
+        from pyarrow.types import is_nested, is_temporal
 
-        return dict(file.read(columns=[one.name for one in file.schema_arrow if is_nested(one.type)]).to_pydict())
+        names = [one.name for one in file.schema_arrow if is_nested(one.type) or is_temporal(one.type)]
+        return dict(file.read(columns=names).to_pydict())
 
 
 @contextmanager
