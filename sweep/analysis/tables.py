@@ -107,10 +107,10 @@ def _columns(dataset: xr.Dataset, arrays: Sequence[str], rows: Any = slice(None)
 
 
 def headline_table(dataset: xr.Dataset, most: int | None = MOST_ROWS) -> Table:
-    """Return the headline results in units that read well: axes, values with errors, prediction, published value and
-    difference, of the first ``most`` points or of all.
+    """Return the headline results, or the first if there are none, in units that read well: axes, values with errors,
+    prediction, published value and difference, of the first ``most`` points or of all.
     """
-    names = quantity.headline_variables(dataset)
+    names = quantity.headline_variables(dataset) or quantity.headlines(dataset)
     # Only what is shown is read: a store may have more large arrays than fit into memory.
     dataset = quantity.in_readable_units(dataset.drop_vars(set(quantity.array_outputs(dataset)).difference(names)))
     status = dataset["status"].values.reshape(-1)
