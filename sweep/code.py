@@ -452,11 +452,14 @@ class Reach:
         """Add a function, and what it changes while it runs."""
         names, label, code = function.__globals__, self._label(function), function.__code__
         if not self._is_users(names.get("__name__")):
-            # A wrapper that a library made may hold a function of the user's, or a number; other things that it holds,
+            # A wrapper that a library made may hold an object of the user's, or a number; other things that it holds,
             # such as the cache of a single dispatch, change when it is called; so do numbers in those of Python.
-            self._value, around = "", [*_closure(function).values(), *vars(function).values()]
-            forms = [form for one in around if (form := self._form(one, {})) and type(one) in PLAIN]
-            self._keep(f"function {label}", ", ".join(forms) if distributions_of(names.get("__name__")) else "")
+            self._value, kept = "", list[str]()
+            plain = PLAIN if distributions_of(names.get("__name__")) else ()
+            for one in (*_closure(function).values(), *vars(function).values()):
+                form, thing = self._form(one, {}), one.__self__ if type(one) is MethodType else one
+                kept += [form] if type(one) in plain or distributions_of(type(thing).__module__) is None else []
+            self._keep(f"function {label}", ", ".join(kept))
             return
         # what attrs makes has numbers in its source that differ from process to process; fields are in the class
         nodes = [] if "<attrs generated" in code.co_filename else list[Any](definitions_of(function))

@@ -42,6 +42,7 @@ ENDS = {  # how the constant, CONSTANT, comes into NAME(x)
     "attribute": "def NAME(x):\n    return x + NAME.k\n\nNAME.k = CONSTANT",
     "like a counter": "class A_NAME:\n    def __init__(self, k):\n        self.k = k\n\nclass C_NAME:\n    k = 0\n    def step(self):\n        self.k += 1\n\nNAME_object = A_NAME(CONSTANT)\n\ndef NAME(x):\n    C_NAME().step()\n    return x + NAME_object.k",
     "decorated method": "import functools\n\ndef NAME_deco(g):\n    @functools.wraps(g)\n    def inner(*args):\n        return g(*args)\n    return inner\n\nclass C_NAME:\n    def __init__(self, k):\n        self.k = k\n    @NAME_deco\n    def run(self, x):\n        return x + self.k\n\nNAME_all = [C_NAME(CONSTANT).run]\n\ndef NAME(x):\n    return NAME_all[0](x)",
+    "method in a library's wrapper": "import numpy as np\n\nclass C_NAME:\n    def __init__(self, k):\n        self.k = k\n    def run(self, x):\n        return x + self.k\n\nNAME_one = np.errstate()(C_NAME(CONSTANT).run)\n\ndef NAME(x):\n    return NAME_one(x)",
     "later": "class C_NAME:\n    k = 0.0\n\nC_NAME.k = CONSTANT\n\ndef NAME(x):\n    return x + C_NAME().k",
     "dataclass": "from dataclasses import dataclass, field\n\n@dataclass(frozen=True)\nclass C_NAME:\n    k: float = CONSTANT\n    names: frozenset = frozenset({'a', 'b', 'c', 'dd'})\n\ndef NAME(x):\n    return x + C_NAME().k",
     "enum": "from enum import Enum\n\nclass E_NAME(Enum):\n    K = CONSTANT\n\ndef NAME(x):\n    return x + E_NAME.K.value",
