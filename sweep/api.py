@@ -53,7 +53,7 @@ def run(
     client: Any = None,
     limits: Limits = NO_LIMITS,
     dashboard: bool = False,
-    progress: watching.Progress | None = None,
+    progress: watching.Progress | bool | None = None,
     accept_code: bool = False,
     retry: bool = False,
     fresh: bool = False,
@@ -106,7 +106,8 @@ def run(
             again; ``old`` is true for points that other code made.
         max_failures: end the run when more points than this number, or than this percentage, "5%", of those that were
             tried fail; by default if the first 20 all fail for the same reason, with "100%" never.
-        progress: an object that is notified of the progress; by default a bar in terminals and notebooks.
+        progress: an object that is notified of the progress; by default a bar in terminals and notebooks, with False
+            none.
         part: "K/N" computes part K of N alone, into the store STORE.part-K-of-N, and "array" the part of this task of a
             SLURM job array; `sweep merge` makes one of all parts.
         verify: compute so many points again at the end, each by itself in new processes, in two orders, and compare
@@ -376,16 +377,16 @@ def _study(study: str | Path | Mapping[str, Any] | Study | Callable[..., Any], o
         raise SweepError(f"{shown(study)} is neither a function nor a study")
     if isinstance(study, Mapping):
         study = live_study(study)
-    loaded = study if isinstance(study, Study) else load_study(str(study))
+    loaded = study if isinstance(study, Study) else load_study(study)
     if stray := [name for name, value in options.items() if value is not None]:
         how = 'load_study("NAME", axes=["x=1,2"], settings=["n_sim=50"]) changes them'
         raise SweepError(f"{', '.join(stray)}: allowed only for a function; a study has its own; {how}")
     return loaded
 
 
-def _watching(study: Study, progress: watching.Progress | None) -> AbstractContextManager[watching.Progress]:
+def _watching(study: Study, progress: watching.Progress | bool | None) -> AbstractContextManager[watching.Progress]:
     """Return the object that is notified of a run's progress: that which is passed, or a bar where somebody sees it."""
-    if progress is not None:
+    if progress is not None and progress is not True:
         return nullcontext(progress or watching.SILENT)  # False shows none
     if Console().is_jupyter:
         return watching.NotebookProgress(study, bar=False)

@@ -101,8 +101,9 @@ class experiment:  # noqa: N801 (a decorator)
         """Return the function, or a new one that calls it, with this declaration."""
         _checked(function, self)
         module = sys.modules.get(getattr(function, "__module__", None) or "")
-        if getattr(module, getattr(function, "__qualname__", ""), None) is function:
-            # It is defined already: other code must import it unchanged, and workers would import it undeclared.
+        defined = getattr(module, getattr(function, "__qualname__", ""), None) is function
+        if defined or inspect.ismethod(function):
+            # Other code must import it unchanged, and workers would import it undeclared.  Methods take no attributes.
             function = _calling(function)
         setattr(function, ATTRIBUTE, self)
         return function

@@ -282,7 +282,7 @@ Mentioned = Callable[..., Any] | Experiment
 
 
 def load_study(
-    name_or_path: str,
+    name_or_path: str | Path,
     settings: Sequence[str] = (),
     axes: Sequence[str] = (),
     points: str | None = None,
@@ -313,6 +313,7 @@ def load_study(
         >>> study.axes["v_max"], study.sampling.n_sim
         ((14.0, 14.5, 15.0, 15.5, 16.0), 50)
     """
+    name_or_path = os.fspath(name_or_path)
     if (function := reference_in(name_or_path)) is not None:
         path, text = Path.cwd() / f"{function.rpartition(':')[2]}.toml", ""
         document: dict[str, Any] = {"title": path.stem, "experiment": function}

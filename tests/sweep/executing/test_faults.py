@@ -38,7 +38,7 @@ POOLS = ["--pool threads --workers 2", *map(slow, ["--pool serial", "--workers 2
 def reference(tmp_path_factory):
     path = tmp_path_factory.mktemp("reference")
     (path / "small.toml").write_text(LINK_STUDY)
-    return linksweep.run(linksweep.load_study(str(path / "small.toml"), LONG[1::2]), path / "s.zarr", pool="serial")
+    return linksweep.run(linksweep.load_study(path / "small.toml", LONG[1::2]), path / "s.zarr", pool="serial")
 
 
 @pytest.fixture

@@ -122,7 +122,10 @@ def test_what_cannot_be_swept_is_refused(function, sentence, tmp_path):
     assert not (tmp_path / "s.zarr").exists()
 
 
-@pytest.mark.parametrize("function", [Thing().method, Thing(), functools.partial(lambda y, x: x * y, 1.0)])
+METHOD = Thing().method
+
+
+@pytest.mark.parametrize("function", [METHOD, experiment()(METHOD), Thing(), functools.partial(lambda y, x: x * y, 1)])
 def test_methods_of_objects_partials_and_callable_objects_are_functions(function, tmp_path):
     ds = run(function, tmp_path / "s.zarr", axes={"x": [1.0, 2.0]}, pool="serial")
     assert [ds[name].values.tolist() for name in ds if name not in ("status", "wall_time")] == [[1.0, 2.0]]

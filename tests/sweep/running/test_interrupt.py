@@ -238,7 +238,7 @@ def ledger_of(path, study):
 
 @pytest.mark.slow
 def test_killed_at_any_instant_nothing_is_lost_and_no_bit_differs(link_study, tmp_path, start_sweep, sweep):
-    results, study = tmp_path / "whole.zarr", load_study(str(link_study), LONG[1::2])
+    results, study = tmp_path / "whole.zarr", load_study(link_study, LONG[1::2])
     assert sweep("run", link_study, "-o", results, "--pool", "serial", *LONG)[0] == 0
     expected = ledger_of(results, study)
     rng = random.Random(2004)

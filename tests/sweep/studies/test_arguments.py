@@ -146,7 +146,7 @@ def test_a_new_study_runs_as_it_is_and_says_the_defaults_in_comments(reference, 
     validator(reference).validate(tomllib.loads(text))
     begun, fixed = text.split("[fixed]")
     [axis] = tomllib.loads(text)["axes"]
-    names = [parameter.name for parameter in load_study(str(tmp_path / "mine.toml")).experiment.parameters]
+    names = [parameter.name for parameter in load_study(tmp_path / "mine.toml").experiment.parameters]
     assert re.findall(r"(?m)^# (\w+) =", fixed) == [name for name in names if name != axis]
     for line in re.findall(r"(?m)^# (\w+ = .*)$", fixed):
         report, err = plan(f"{begun}[fixed]\n{line}")  # a default has no effect with the values of some others
