@@ -120,6 +120,7 @@ class Transits:
             "correlations": between[astrometry.FIRST, astrometry.SECOND],
             "further": np.array([paths.values[:, 5:COLOUR].T, error[5:]]),
             "orbit": self.orbit,
+            "averaged": np.zeros(len(rows)),
         }
         for name, new in arrays.items():
             arrays[name] = np.zeros((*new.shape[:-1], len(table)))
@@ -141,7 +142,7 @@ class Transits:
         except LinkError:
             return np.full((2, len(every)), np.inf)
         replaced = self.in_place(straight, self.catalogue, every)
-        rows = replace(self.catalogue, apparent=np.zeros(len(every), dtype=bool), further=None)
+        rows = replace(astrometry.of_five(self.catalogue), apparent=np.zeros(len(every), dtype=bool))
         off = differences(replaced, rows, every)
         scale = np.maximum(straight.squares / np.maximum(straight.dof, 1.0), 1.0)
         whole = off.whole(replaced.covariance() * scale[:, None, None])

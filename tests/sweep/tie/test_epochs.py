@@ -361,6 +361,18 @@ def test_an_orbit_is_that_of_one_star_and_one_that_is_not_on_the_sky_is_none(tmp
             link(*rows, **options)
 
 
+def test_paths_with_observations_take_the_place_of_rows_with_accelerations(tmp_path):
+    sky = drawn(2, ["7"] * 4, bend=3.0)
+    fits = [fit(a[:, [*range(7), 10]], *rest) for a, *rest in zip(sky.design, sky.values, sky.errors, strict=True)]
+    sky.satellite = as_table(fits, sky.origin, sky.satellite["source_id"])
+    for k, name in enumerate(("accel_ra", "accel_dec"), 5):
+        sky.satellite[name] = [values[k] for values, _ in fits]
+        sky.satellite[f"{name}_error"] = [np.sqrt(covariance[k, k]) for _, covariance in fits]
+    links = [linked(tmp_path, sky, star_models={"all": "7"}, accelerations=how) for how in ("at-epoch", "mean")]
+    np.testing.assert_array_equal(links[0].estimate, links[1].estimate)  # they are not averages
+    assert links[0].attrs["misfit"] == ""
+
+
 def test_text_in_a_file_is_never_run(tmp_path):
     linked(tmp_path, drawn(1, ["5"] * 3), form="csv")
     path, run = tmp_path / "scans.csv", f"__import__('pathlib').Path('{tmp_path}/ran').touch()"
