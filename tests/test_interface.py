@@ -63,7 +63,6 @@ def test_a_users_script_sees_the_types(tmp_path):
 
 
 def test_files_of_the_user_with_our_names_do_no_harm(tmp_path):
-    """In the script's own process and in its workers; they are the user's to import, also a folder without a file."""
     (tmp_path / "sweeps.py").write_text("raise RuntimeError('a file of the user')")
     (tmp_path / "sweep.py").write_text(f"{RUN}    import core.helper\n")  # what a script is likely to be called
     (tmp_path / "core").mkdir()

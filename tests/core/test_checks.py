@@ -80,7 +80,6 @@ def at(folder, contents=None, **changes):
 
 @pytest.mark.parametrize("changes", POSSIBLE)
 def test_points_without_a_problem_can_be_computed(changes, tmp_path):
-    """Without overflow, from as many normals as its cost says."""
     point, n_sim, normals = at(tmp_path, **changes), 50, []
 
     class Counting(np.random.Generator):

@@ -73,7 +73,6 @@ def test_satellite_catalogue_obeys_the_vector_equations():
 @pytest.mark.skipif(np.finfo(np.longdouble).eps > 1e-18, reason="needs 80-bit or longer long doubles")
 @pytest.mark.parametrize("distance", [None, 1e-2, 5e-6])
 def test_exact_differences_lie_far_below_the_floor_of_stored_angles(distance):
-    """Anywhere, and near a pole, where the triad turns by epsilon/distance."""
     ra, dec, pmra, pmdec = sky(500)
     catalogue = (ra, dec if distance is None else np.full(500, np.pi / 2 - distance), pmra, pmdec)
     truth = reference_differences(*catalogue, *MILLI_ROTATION)

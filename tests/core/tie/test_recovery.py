@@ -55,10 +55,14 @@ def made(used, years, unknowns, n=30):
 
 
 def test_five_parameters_at_the_same_epoch():
-    result = solve(source_sums(made(slice(0, 5), 0.0, "orientation,spin,parallax"))).estimate / MAS
+    problem = made(slice(0, 5), 0.0, "orientation,spin,parallax")
+    result = solve(source_sums(problem)).estimate / MAS
     np.testing.assert_allclose(result[:3], EPSILON / MAS, atol=2e-4)
     np.testing.assert_allclose(result[3:6], OMEGA / MAS, atol=2e-6)
     assert result[6] == pytest.approx(0.04, abs=1e-5)
+    east, north, _ = triad(*problem.satellite.values[:2])
+    apart = np.einsum("kin,in->nk", [east, north], triad(*problem.rows.values[:2]).r)
+    np.testing.assert_allclose(problem.differences().values[:, :2], apart, atol=1e-15)
 
 
 @pytest.mark.parametrize("years", [-12.3, 8.9])
@@ -96,6 +100,17 @@ def test_an_orbit_solves_the_equation_of_kepler(period, e, periastron, years, in
     np.testing.assert_allclose(bends(np.array([years]), orbit)[0][:, 4], [east, north, 0.0, 0.0, 0.0], atol=1e-7)
 
 
+def test_an_orbit_is_seen_at_single_epochs_and_not_in_mean_positions():
+    problem, further = made(slice(0, 2), 3.0, "orientation"), np.zeros((2, 5, 30)) + MAS * np.eye(5)[:, [4]]
+    orbit = np.tile([[2.0, 0.3, 0.5, 1.0, 0.0, 0.0, 0.5]], (30, 1)).T
+    both = problem.satellite, replace(problem.satellite, further=further, orbit=orbit)
+    for single in (True, False):
+        rows = replace(problem.rows, apparent=np.full(30, single))
+        free, bound = (differences(one, rows, problem.source).values[:, :2] for one in both)
+        expected = single * MAS * bends(np.full(30, 3.0), orbit)[:, :2, 4]
+        np.testing.assert_allclose(free - bound, expected, atol=1e-15)
+
+
 @given(st.floats(-20.0, 20.0))
 def test_motions_are_the_derivatives_of_positions(years):
     low, here, high = bends(years + np.array([-1e-4, 0.0, 1e-4]))
@@ -103,7 +118,6 @@ def test_motions_are_the_derivatives_of_positions(years):
 
 
 def test_it_is_the_least_squares_of_all_tables_with_the_parameters_of_every_star():
-    """No table is before another: unknowns are also five parameters of every star in the reference's frame."""
     problem = missions()
     mine, rows, n = problem.satellite, problem.rows, len(problem.satellite)
     result = differences(mine, rows, problem.source)
@@ -129,7 +143,6 @@ def test_it_is_the_least_squares_of_all_tables_with_the_parameters_of_every_star
 
 
 def test_the_errors_of_vector_harmonics_from_a_uniform_sky():
-    """Of motions of quasars on a uniform grid of the sky, all with one error."""
     n, sigma, unknowns = 4000, 0.3 * MAS, parse_unknowns("vsh_motion:3")
     golden, nan = np.arange(n) + 0.5, np.full(n, np.nan)
     ra, dec = (golden * np.pi * (1.0 + np.sqrt(5.0))) % (2.0 * np.pi), np.arcsin(1.0 - 2.0 * golden / n)
@@ -144,7 +157,6 @@ def test_the_errors_of_vector_harmonics_from_a_uniform_sky():
 
 
 def test_leaving_out_what_determines_an_unknown_is_found_among_many():
-    """One singular matrix among regular ones: only its solution is missing."""
     sums = source_sums(missions(n=30))
     normal, right = sums.normal.sum(axis=0), sums.right.sum(axis=0)
     alone = sums.taken(np.arange(3))

@@ -199,7 +199,6 @@ def test_a_component_of_a_result():
 
 
 def test_a_store_carries_what_was_published_and_keeps_its_numbers(coins, here):
-    """The coin study beside a published table and a claim; the paper's chance of heads is ours."""
     (here / "table.csv").write_text("metal,coins,share\ngold,1,0.4\ngold,5,0.40\ntin,20,0.9\ntin,7,0.4\n")
     same = {"variable": "share", "of": {"coins": 20}, "to": {"coins": 1}}
     published_coins = coins | {
@@ -266,7 +265,6 @@ def test_the_whole_paper_from_one_command_runs_what_is_missing(sweep, tmp_path, 
 
 
 def test_a_plain_function_has_claims_a_conclusion_and_published_numbers(tmp_path):
-    """Its results are known when there are some: what is none of them is said by name where numbers are compared."""
     (tmp_path / "p.csv").write_text("a,w,lost\n1,1.0,3\n2,2.83,4\n", encoding="utf-8")
 
     def power(a: float = 1.0):

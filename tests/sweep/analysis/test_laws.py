@@ -208,6 +208,8 @@ def test_what_has_no_place_and_no_errors_is_printed_without(tmp_path, sweep_here
     assert ("always; 7 is nearest to the limit" in out, "nan" in out, "scatter" in out) == (True, False, False)
     law = fit_power_law(ds, "z", "width").sel(name="rbf")
     assert (law["points"].item(), law["exponent"].item()) == (3.0, pytest.approx(1.0))
+    twice = linksweep.run(lambda x: x, tmp_path / "u.zarr", points={"x": [1.0, 2.0, 2.0, 3.0]}, pool="serial")
+    assert fit_power_law(twice, "result", "x")["points"].item() == 3.0
     linksweep.run(kernel, tmp_path / "t.zarr", points={"name": ["flat", "rbf"], "width": [1.0, 2.0]}, pool="serial")
     for asked, words in {
         "z>50": "no point meets z > 50\n",
@@ -222,7 +224,6 @@ def test_what_has_no_place_and_no_errors_is_printed_without(tmp_path, sweep_here
 @pytest.mark.parametrize("noise", [slow(0.03), 0.1, slow(0.3), 0.5])
 @pytest.mark.parametrize("truth", few(1, [2.0, 1.75, 1.5]))
 def test_crossings_of_points_with_errors_of_any_size(noise, truth):
-    """The noise, in steps of the axis, chooses the points on both sides; the truth is within two errors as often."""
     x = np.arange(5.0)
     y = x - truth + noise * np.random.default_rng(5).standard_normal((400, 5))
     for axis, at, unit in ((x, truth, 2.0**-900), (20.0**x, 20.0**truth, 2.0**900)):  # the second is logarithmic

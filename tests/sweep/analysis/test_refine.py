@@ -130,6 +130,10 @@ def test_a_point_gets_realisations_rather_than_neighbours_below_its_error_and_no
     assert abs(float(linksweep.find(lavish, "y_mean > 0", "x")["first"]) - 0.4321) < 0.0075
     # of 400, two errors are 0.01 and a bit more: twice as exact takes just over four times as many, in doublings
     assert [*rounds(lavish)[len(rounds(ds))]["n_sim"].values()] == [3200]
+    linksweep.refine(noisy, "few.zarr", within=0.006, max_realisations=10**5, **goal)
+    merge(["n.zarr", "few.zarr"], "both.zarr")  # whose last rounds ask for fewer than are there
+    both = linksweep.refine(noisy, "both.zarr", within=0.003, max_realisations=10**5, **goal)
+    assert [[*one["n_sim"].values()] for one in rounds(both)[-2:]] == [[1600], [6400]]
     mine = linksweep.run(noisy, "n.zarr", axes=ELEVEN, sampling=goal["sampling"], pool="serial")
     assert bare(mine).equals(bare(lavish.sel(x=ELEVEN["x"])))
     ds = linksweep.refine(shelf, within=0.01, **goal | {"sampling": {"n_sim": 50, "seed": 8}})
@@ -149,6 +153,8 @@ def test_a_point_that_is_not_decided_gets_realisations_or_the_answer_says_so(axi
     is_decided = (abs(ds.y_mean) > 3.0 * ds.y_mean_mc_error).all()
     words = linksweep.find(ds, "y_mean > 0", "x")["conclusion"].item()
     assert (is_decided, words.startswith("never"), "not decided" in words) == (most > 300, True, most == 300)
+    # it was 0.65 of its errors from the limit: three would take 21 times as many realisations, and 16 are the most
+    assert [[*one["n_sim"].values()] for one in rounds(ds)[:1]] == [[1600]] * (most > 300)
 
 
 @linksweep.experiment(outputs=[linksweep.Output("y", statistics=["q99", "max"])])

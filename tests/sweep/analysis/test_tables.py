@@ -11,7 +11,7 @@ from hypothesis import given, settings, strategies as st
 
 import linksweep
 from linksweep.sweep.analysis.quantity import indices, select
-from tests.sweep.analysis.made import answers, grid, shown, text_of
+from tests.sweep.analysis.made import N, answers, grid, shown, text_of
 from tests.tiers import examples
 
 LARGE = 2**60
@@ -91,9 +91,9 @@ def test_a_prediction_with_its_bias_and_a_published_number_are_shown_with_the_di
     dataset = dataset.assign({name: (axes, np.full((2, 5), x), {"units": "mas"}) for name, x in parts.items()})
     first = next(line for line in text_of(dataset).splitlines() if line.split()[:1] == ["old"])
     assert first.split()[2:] == ["0.6000", "±", "0.0030", "0.5000", "0.5", "+20.0", "%"]
-    kinds = grid(0.66123).assign(a=(axes, np.full((2, 5), 0.0027)), b=(axes, np.full((2, 5), 0.04)))
+    kinds = grid(0.66123).assign(a=(axes, np.full((2, 5), 0.0027)), b=(axes, np.broadcast_to(0.004 * N, (2, 5))))
     kinds["width"].attrs["errors"] = "a b"
-    assert "0.6612 0.0027 0.040" in " ".join(text_of(kinds).split())  # digits of the least error
+    assert "300 0.6612 0.0027 1.2" in " ".join(text_of(kinds).split())  # digits of the least error, where one changes
     text = text_of(grid(28.0, published={(0, 0): "28"}))  # what is met exactly is a sentence and no column
     assert ("width: all published values are met exactly" in text, "difference" in text) == (True, False)
 

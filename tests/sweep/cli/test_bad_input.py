@@ -166,13 +166,12 @@ def decayed(tmp_path_factory):
 
 FILES = {"decay.py": DECAY, "decay.zarr/zarr.json": b"{}", "taken.toml": b"mine"}
 FILES |= {"mine.py": b"def f(x: float):\n    return x\n", "c.toml": b'class = "distributed.LocalCluster"\nscale = 1\n'}
-FILES |= {"french.toml": GOOD.encode().replace(b"A good", b"\xc9tude"), "large.toml": GOOD.encode() + b"#" * 1_000_000}
+FILES["french.toml"] = GOOD.encode().replace(b"A good", b"\xc9tude")
 FILES["link.zarr/zarr.json"] = json.dumps(ROOT | {"attributes": {"result": "tie"}}).encode()
 SOBOL = "plan quasars --design sobol:8"
 ANOTHER = "STORE: , name it holds results of a different study, name it give another store with -o, name it experiment:"
 COMMANDS = [
     ("run french.toml", "french.toml: not UTF-8 text: byte 0xc9 in line 1"),
-    ("run large.toml", "large.toml: is larger than 1,000,000 bytes"),
     ("run mine.py --axis x=1", "mine.py: is Python, not a study, name it as mine.py:NAME"),
     ("run quasar", "no study 'quasar': neither a file nor a built-in study; did you mean 'quasars'?"),
     *((f"plan {'a' * 300}", "no study 'aaa"), ("plan /dev/zero", "/dev/zero: is larger than 1,000,000 bytes")),
@@ -184,7 +183,6 @@ COMMANDS = [
     ("run mine.py:f --axis x=1:5", "--axis 'x=1:5': '1:5': a range is START:STOP:STEP, or START:STOP:log5; texts"),
     ("run study.toml --workers 0", "Invalid value for '--workers': 0 is not in the range 1<=x<=4096"),
     ("run study.toml --pool serial --workers 2", "workers = 2: pool serial has none"),
-    ("run study.toml --retry --fresh", "retry and fresh do not go together"),
     ("run study.toml --retry --set seed=8", "--retry computes points of a store as it is"),
     ("run study.toml --retry", NOT_A_STORE),
     *((f"{command} study.toml -o STORE", ANOTHER) for command in ("run", "plan")),
@@ -193,7 +191,6 @@ COMMANDS = [
     *(("compare STORE", "neither published numbers nor claims"), ("fit STORE --law levelling --expect 1", "--expect")),
     ("fit STORE --at metal=lead", "metal = lead is not in the grid, which has gold, tin"),
     ("find STORE --where share=1", "--where: 'share=1': a condition is VARIABLE, one of < <= > >="),
-    ("find STORE --where share<1_mas", "share is in no unit, not convertible to mas"),
     *(("tie psrpi nowhere.fits", "nowhere.fits: no such file"), ("tie psrpi icrf3", "within 1 arcsec")),
     *(("tie psrpi icrf4", "did you mean 'icrf3'?"), ("tie psrpi psrpi --unknowns spinn", "'spinn' are not known")),
     ("tie psrpi psrpi --column ra", "must be [TABLE:]KEY=COLUMN"),
@@ -204,8 +201,6 @@ COMMANDS = [
     ("tie psrpi psrpi --mission a=psrpi --mission-epoch b=1991.25", "no table 'b'"),
     ("tie psrpi psrpi --mission a=psrpi --jitter b:position=1", "no table 'b'"),
     ("reproduce STORE --at metal=tin", "coins needs a value, one of 1, 5, 20"),
-    ("reproduce STORE --at metal=tun,coins=1", "metal = tun is not in the grid, which has gold, tin"),
-    ("reproduce STORE --at metal=tin,coins=6", "coins = 6 is not in the grid, which has 1, 5, 20"),
     ("reproduce STORE --at metall=tin,coins=6", "'metall' is not an axis; did you mean 'metal'?"),
     ("reproduce STORE --at tin", "'tin': a place is AXIS=VALUE"),
     *(("scaling sqrt-n --workers 2,4", "must increase from 1"), ("scaling sqrt-n --workers 1,5000", "4096")),
@@ -215,7 +210,6 @@ COMMANDS = [
     # no option is dropped for another
     ("plan quasars --axis v_max=14,15 --set v_max=16", "--set v_max=16 and --axis v_max=14,15: v_max is"),
     ("plan quasars --axis v_max=14,15 --axis v_max=16", "--axis v_max=14,15 and --axis v_max=16: v_max is given twice"),
-    ("plan quasars --set title=a --set title=b", "--set title=a and --set title=b: title is given twice"),
     ("plan quasars --set n_sim=1 --set sampling.n_sim=2", "--set n_sim=1 and --set sampling.n_sim=2: n_sim is given"),
     ("plan quasars --design random:8 --range v_max=1:5 --range v_max=1:6", "--range v_max=1:5 and --range v_max=1:6"),
     (f"{SOBOL}:3 --range v_max=14:15 --set points.seed=4", "--set points.seed=4 and --design sobol:8:3:"),
@@ -244,7 +238,6 @@ COMMANDS = [
     ("plot STORE --kind law --at metal=tin --linear coins", "a law is drawn on logarithmic"),
     *(("report STORE --all", "name stores, or give --all"), ("report STORE --workers 2", "go with --all")),
     *((f"report STORE -o {path}", "must end with .html or .htm") for path in ("study.toml", ".")),
-    ("report gs://b/s.zarr", "gs:// is not known"),
     # typical mistakes, with what solves them
     *(("run quasars --set n_sims=4", "'n_sim'"), ("run quasars --axis n_sim=4,5", "--set n_sim=")),
     *(("run quasars.toml", "'quasars'"), ("run decay", "'decay.py'"), ("show decay", "'decay.zarr'")),
@@ -252,8 +245,6 @@ COMMANDS = [
     ("run decay.py:decay --axis years 1,2", "--axis NAME=1,2,3"),
     ("run decay.py:decay --axis years=1,2 --set half_life=2 --seed 4", "--set NAME=VALUE"),
     ("run decay.py:decay --axis years=1,2", "--set half_life=VALUE"),
-    ("run decay.py:decay --axis years=1-2 --set half_life=2", "START:STOP:STEP"),
-    ("run decay.py:decay --axis years=1,2 --axis years=3 --set half_life=2", "leave out one"),
     *(("show DECAYED --at year=1", "'years'"), ("fit DECAYED", "--over")),
     *(("plot DECAYED --at years=3", "which has 1, 2"), ("find DECAYED", "--where"), ("plot DECAYED --logy", "'--log'")),
 ]
@@ -263,7 +254,7 @@ COMMANDS = [
 def test_a_command_that_cannot_be_run_says_why(here, coin_store, decayed, command, phrase):
     write(here, FILES)
     stores = {"STORE": coin_store, "DECAYED": decayed}
-    words = [stores.get(word, word.replace("1_mas", "1 mas")) for word in command.split()]
+    words = [stores.get(word, word) for word in command.split()]
     check_refused(here, words, *phrase.replace("STORE", str(coin_store)).split(", name it "))
 
 

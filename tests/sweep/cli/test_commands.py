@@ -104,7 +104,6 @@ def test_what_is_printed_fits_80_columns(sweep, here, commands):
 
 
 def test_one_thing_has_one_name_in_all_commands():
-    """An option has one long spelling; -o is always --output; a script asks for JSON with --json alone."""
     for name, command in main.commands.items():
         for option in (p for p in command.params if isinstance(p, click.Option)):
             long = [spelling for spelling in option.opts if spelling.startswith("--")]

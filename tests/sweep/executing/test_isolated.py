@@ -54,7 +54,8 @@ HARMLESS = [  # what a function may do to its process without failing its own po
     "sys.modules['json'] = None; json.dumps = json.loads = None",
     "[signal.signal(n, signal.SIG_IGN) for n in (signal.SIGINT, signal.SIGTERM)]",
     "__import__('resource').setrlimit(__import__('resource').RLIMIT_FSIZE, (0, 0))",
-    "sys.settrace(lambda *_: None)",
+    "sys.settrace(lambda *_: None)  # --time-limit 9",
+    "globals().setdefault('calls', []).append(x); all(calls[1:] for _ in iter(int, 1))  # --time-limit 2",  # the second
 ]
 THREE = {"x": [1.0, 2.0, 3.0]}
 CHANGES = {  # what one point changes of its process, and what the others look at
@@ -121,7 +122,7 @@ def test_of_points_that_share_random_numbers_the_one_that_ends_its_process_fails
 @pytest.mark.slow
 @pytest.mark.parametrize("deed", HARMLESS)
 def test_what_a_function_does_to_its_process_does_not_reach_the_run(tmp_path, sweep_here, deed):
-    how = "-o", "s.zarr", *["--time-limit=9"] * ("trace" in deed)
+    how = "-o", "s.zarr", *deed.partition("# ")[2].split()
     code, out, err = sweep_here("run", written(tmp_path, deed, 0), "--axis", "x=0:3:1", *how, cwd=tmp_path)
     assert (code, "wrote s.zarr" in err, "f: It is between 0 (x=0) and 6" in out) == (0, True, True), err
     assert xr.open_zarr(tmp_path / "s.zarr")["f"].values.tolist() == [0.0, 2.0, 4.0, 6.0]

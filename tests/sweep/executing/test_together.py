@@ -36,17 +36,18 @@ def together(points, n_sim, streams):
     return {name: np.array([sums[name] for sums in result]) for name in experiment.sums}
 
 
-def results(evaluate_catalogues, n_cat=500):
+def results(evaluate_catalogues, n_cat=500, n_sim=5):
     CALLS.clear()
     several = replace(experiment, evaluate_catalogues=evaluate_catalogues)
     study = {"title": "", "experiment": several, "axes": {"coins": [4, 9]}}
     with tempfile.TemporaryDirectory() as folder:
-        sampling = {"n_sim": 5, "n_cat": n_cat, "seed": 3}
+        sampling = {"n_sim": n_sim, "n_cat": n_cat, "seed": 3}
         return linksweep.run(study | {"sampling": sampling}, f"{folder}/s.zarr", pool="serial").load()
 
 
 def test_blocks_of_one_point_are_evaluated_in_one_call_of_so_many_at_most():
     same(results(together), results(None))
+    same(results(together, 70, 600), results(None, 70, 600))  # of 512 realisations and of the rest
     results(together, n_cat=3000)
     assert 16 < max(CALLS) <= MOST
 

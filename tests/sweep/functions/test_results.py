@@ -198,6 +198,8 @@ def test_later_points_are_compared_by_name_with_the_first(tmp_path):
     joined = results_of(others, tmp_path, fresh=True)
     assert joined.n.values.tolist() == [3.0, 3.5, 3.0]  # integers and floats are joined, in any order
     check_refused({"large": ({"n": 2**53 + 1}, "740993, which is beyond 2**53, and")}, {"n": 0.5}, tmp_path / "large")
+    texts = results_of({k: {"y": "\ud800" if k == "d" else k} for k in "abcde"}, tmp_path / "texts")  # the last one
+    assert "which has a lone surrogate: no file can hold it" in texts.attrs["failures"]
     whole = {"whole": ({"n": np.arange(2**19 + 1)}, "the type of 'n' is 'int', expected 'float'")}
     check_refused(whole, {"n": np.zeros(2**19 + 1)}, tmp_path / "arrays")  # chunks are not converted
 

@@ -105,13 +105,6 @@ def test_blocks_tile_the_realisations_exactly_once_and_more_leave_whole_ones(n_s
     assert all(block.realisations * cost <= max(planning.LARGEST_BLOCK, cost) for block in after)
 
 
-def test_a_point_is_the_same_in_any_grid_and_however_it_is_written(coins):
-    tin = {**coins, "axes": {"metal": ["tin"]}, "fixed": {"coins": 5, "chance": 0.4}}
-    assert set(keys_of(plan_of(tin))) <= set(keys_of(plan_of(coins)))
-    whole = {**coins, "fixed": {"coins": 1, "chance": 0.5}, "axes": {}}
-    assert keys_of(plan_of(whole | {"fixed": {"coins": 1.0}})) == keys_of(plan_of(whole))
-
-
 @pytest.mark.parametrize("name", GRIDS)
 def test_digests_are_those_of_stores_that_are_years_old(name, monkeypatch):
     monkeypatch.setattr("linksweep.sweep.planning.grid.AT_ONCE", 2)
@@ -178,18 +171,11 @@ def test_tasks_are_of_about_a_second_and_enough_for_all(seconds, workers):
     assert all(len(task) == 1 for task in tasks[: 4 * workers])  # nothing was measured before
 
 
-@pytest.mark.parametrize(("most", "parts"), [(64, 1), (65, 2), (129, 3), (512, 4), (513, 5), (1025, 6)])
-def test_the_parts_of_a_precision_double_until_blocks_are_whole(most, parts):
-    plan = precise(n_sim=most, precision=0.1)
-    assert plan.parts(1.0) == parts
-    reached = [plan.realisations(1.0, k) for k in range(9)]
-    assert reached == [0, 64, 128, 256, 512, 1024, 1536, 2048, 2560]
-    assert [block.n_sim for block in plan.blocks(1.0, range(8))] == np.diff(reached).tolist()
-
-
 @pytest.mark.parametrize(("headlines", "expected"), REACHED.items())
 def test_a_point_gets_what_the_worst_of_its_results_needs_at_once(headlines, expected):
     plan = precise(headlines.split(), precision=0.01)
+    assert [plan.realisations(1.0, k) for k in range(9)] == [0, 64, 128, 256, 512, 1024, 1536, 2048, 2560]
+    assert [plan.parts(1.0, most) for most in (64, 65, 129, 512, 513, 1025)] == [1, 2, 3, 4, 5, 6]
     accumulator = Accumulator(plan)
     (point,) = plan.grid.points()
     blocks, reached = list(accumulator.missing(point)), []

@@ -108,7 +108,6 @@ def three(model, tmp_path):
 
 @pytest.mark.parametrize("total", [5, *map(slow, (2, 8, 10))])
 def test_no_part_gets_the_same_value_of_an_axis_again_and_again(tmp_path, total):
-    """Points that take long where a value is large are shared evenly, also where there are as many parts as values."""
     (tmp_path / "slow.py").write_text("def slow(a: int = 1, b: int = 1):\n    return {'cost': a * b}\n")
     axes = {"a": list(range(1, 11)), "b": list(range(1, 11))}
     stores = run_parts(f"{tmp_path}/slow.py:slow", tmp_path / "s", range(1, total + 1), total, axes=axes)
@@ -241,7 +240,6 @@ def test_results_that_differ_in_kind_between_parts_fail_as_in_one_run(tmp_path):
 
 @pytest.mark.parametrize("step", [90, slow(3)])
 def test_parts_and_merges_that_are_killed_go_on(model, tmp_path, monkeypatch, step):
-    """Before each operation on a file in turn: in a part, in the merge, and in the merges that go on."""
     linksweep.run(model, tmp_path / "w", pool="serial", **SMALL)
     left = dying(monkeypatch)
     for number in range(3, 10**9, step):
@@ -257,15 +255,6 @@ def test_parts_and_merges_that_are_killed_go_on(model, tmp_path, monkeypatch, st
         if not killed:
             break
     assert number > 10
-
-
-def test_points_beside_a_table_are_a_table(into, tmp_path):
-    into("a", axes={"x": [1.0, 2.0]}, fixed={"k": 3})
-    took = into("b", points={"x": [1.0, 5.0], "k": [3, 5]}).wall_time.values[1]
-    ds = merge([tmp_path / "a", tmp_path / "b"], tmp_path / "c")
-    rows = zip(ds.x.values.tolist(), ds.k.values.tolist(), ds.y.values.tolist(), strict=True)
-    assert set(rows) == {(1.0, 3, 3.0), (2.0, 3, 6.0), (5.0, 5, 25.0)}
-    assert ds.wall_time.where(ds.x == 5.0).sum() == took
 
 
 def test_failures_are_kept_unless_the_other_store_has_the_point(into, tmp_path, sweep):

@@ -49,7 +49,7 @@ def test_repeated_rows_are_computed_once_and_stand_in_the_table_as_often(tmp_pat
     assert xr.open_zarr(tmp_path / "s.zarr").load().y.values.tolist() == expected
     more = {"axes": {"k": [1, 2], "g": [2.0, 3.0], "h": [0.0, 1.0]}}
     more["when"] = {"g": {"k": [2]}, "c": {"k": [2]}, "h": {"c": [5]}}  # h has no effect where c has none
-    ds = run(lambda x, k, c=5, g=0.5, h=0.25: x + g + h, tmp_path / "w", points={"x": [1.0, 1.0]}, **more)
+    ds = run(lambda x, k, c=5, g=0.5, h=0.25: x + g + h, tmp_path / "w", points={"x": [1.0, 1]}, **more)
     assert sorted(ds.result.values[ds.status == 1].tolist()) == [1.75, 1.75, 3.0, 3.0, 4.0, 4.0, 4.0, 4.0, 5.0, 5.0]
 
 
@@ -100,6 +100,8 @@ def test_a_point_of_a_table_has_the_bits_of_the_same_point_in_a_grid(tmp_path):
             assert np.array_equal(table[name].isel(point=row).values, expected, equal_nan=True), name
     on = run(LINK | {"points": {"columns": columns}}, tmp_path / "g.zarr")  # the store of the grid has them all
     assert on.sigma_spin.equals(table.sigma_spin)
+    run(LINK | {"axes": {"n_obj": [20]}, "sampling": LINK["sampling"] | {"n_cat": 2}}, tmp_path / "g.zarr")
+    assert {*linksweep.open(tmp_path / "g.zarr").n_sim_done.values.flat} == {180}  # nothing is taken away
 
 
 def test_the_command_line_runs_grows_fails_retries_and_reproduces_points(tmp_path, sweep):

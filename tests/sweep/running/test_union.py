@@ -309,9 +309,3 @@ def test_stores_of_which_one_has_a_parameter_more_are_merged_whole(here, sweep, 
     Path("m.py").write_text("def f(x: float, u: int = 5):\n    return x\n")
     assert sweep("run", "m.py:f", "--axis", "x=1", "-o", "d")[0] == 0
     assert "is no parameter" in sweep("merge", "b", "d", "-o", "e", "--accept-code", code=2)[2]
-
-
-def test_a_table_with_a_column_that_is_no_parameter_any_more_is_refused(tmp_path):
-    linksweep.run(lambda x, s: x, tmp_path / "s", points={"x": [1.0], "s": ["b"]}, pool="serial")
-    with pytest.raises(linksweep.SweepError, match="s of the store is no parameter any more"):
-        linksweep.run(lambda x: x, tmp_path / "s", points={"x": [1.0]}, pool="serial", accept_code=True)

@@ -253,7 +253,6 @@ def test_files_of_a_store_that_was_begun_anew_or_has_another_history_do_not_coun
 
 @pytest.mark.parametrize("step", [137, slow(37)])
 def test_a_flipped_root_is_damaged_wherever_the_bit(place, coins, step):
-    """Never "not a store of linksweep", in a folder or a bucket, with a copy of the root or before there is one."""
     opening.create_or_resume(place, coins).flush()
     location = located(place)
     root = location.get("zarr.json")
@@ -288,6 +287,10 @@ def test_the_commands(tmp_path, sweep):
     for x in ([1, 2], [4]):
         linksweep.run(model, store, axes={"x": x}, pool="serial")
     assert sweep("check", store)[:2] == (0, "every file is as it was written\n")
+    (store / "zarr.json").unlink()  # the copy of it is of the last study
+    sweep("check", store, "--repair", code=0)
+    assert linksweep.run(model, store, axes={"x": [1]}, pool="serial").attrs["complete"]
+    assert linksweep.open(store).x.values.tolist() == [1, 2, 4]
     [name] = parts_of(store)
     (store / name).write_bytes(flip((store / name).read_bytes()))
     assert set(json.loads(sweep("check", store, "--json", code=1)[1])["ledger"]) == {name}

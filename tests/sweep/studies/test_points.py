@@ -106,6 +106,7 @@ WRONG = [
     (sobol(ranges={"k": [1, 2**63]}), "points.ranges.k: k = 9223372036854775808: must be"),
     (sobol(ranges={"beta": [2, 1]}), "low = 2 must be less than high = 1"),
     (sobol(ranges={"solver": ["a", "b"]}), "write { values = [...] }"),
+    (sobol(ranges={"k": {"values": [1, 2, 1]}}), "values = [1, 2, 1]: must be a list of different values"),
     (sobol(ranges={"k": {"low": 0, "high": 9, "spacing": "log"}}), "log spacing needs numbers above 0, not 0"),
     (sobol(design="morris", ranges={"solver": {"values": ["a", "b"]}}), "steps between 4 numbers"),
     (sobol(design="saltelli", n=10**6), "makes 3,000,000 points"),

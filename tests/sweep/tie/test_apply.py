@@ -96,7 +96,6 @@ def test_the_covariance_of_the_link_is_added(tmp_path):
 @pytest.mark.parametrize("both", [slow(False), True])
 @pytest.mark.parametrize(("form", "ending"), few(1, [("padded", "fits"), ("named", "ecsv"), ("text", "csv")]))
 def test_only_covariances_of_what_is_turned_change_in_rows_with_accelerations(tmp_path, form, ending, both):
-    """Of columns, of corr_vec, and of both, of which one is not read."""
     truth, *made = drawn(12, 3)
     further = ["corr_vec"] if form == "named" else [f"{NAMES[i]}_{NAMES[j]}_corr" for i, j in PAIRS]
     other = satellite_table(tmp_path / "other.ecsv", truth, *made, "padded" if form == "named" else "named")

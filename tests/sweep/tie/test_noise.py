@@ -87,7 +87,6 @@ def test_the_noise_has_the_largest_restricted_likelihood(tmp_path, seed, n):
 
 
 def test_equal_errors_have_a_closed_form(tmp_path):
-    """Positions scatter by 0.5 mas beside errors of 0.1."""
     ours = replace(stars(20, 3), errors=np.full((5, 20), 0.1 * MAS), correlations=np.zeros((10, 20)))
     offset = np.random.default_rng(3).normal(0.0, np.hypot(0.5, np.sqrt(2.0) * 0.1), (2, 20))
     values = ours.values.copy()

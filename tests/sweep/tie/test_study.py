@@ -150,7 +150,6 @@ def test_new_positions_give_the_published_forecast():
 
 
 def test_mean_new_positions_are_not_displaced_by_parallaxes():
-    """At the epoch of each source: D = C + e^2 of its position, and nothing else."""
     at = point("pulsar-forecast", n_new=62, new_positions="mean", new_error=0.3)
     star = design_of(at).problem.satellite
     design = parse_unknowns("orientation").matrix(Objects(*star.values[:2], *np.zeros((2, 62))))[:, :2]
