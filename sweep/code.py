@@ -50,7 +50,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from linksweep.sweep.contract import Experiment, Named, SweepError, shown, suggest
-from linksweep.sweep.functions.adapter import ATTRIBUTE, experiment_of, is_plain_function, name_of
+from linksweep.sweep.functions.adapter import ATTRIBUTE, experiment_of, name_of
 
 # Begins the names of the packages that the modules beside a user's file are in.
 PREFIX = "linksweep_local_"
@@ -1008,7 +1008,7 @@ def load_experiment(
     is something else.
     """
     value = _find(reference, folder, digest, afresh)
-    _require(isinstance(value, Experiment) or is_plain_function(value), "an Experiment or a function", reference, value)
+    _require(isinstance(value, Experiment) or callable(value), "an Experiment or a function", reference, value)
     if digest is None:  # before anything is written
         _read_by(value)
     return value if isinstance(value, Experiment) else experiment_of(value)

@@ -9,7 +9,7 @@ import types
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
-from typing import Annotated, Any, Final, Literal, TypeGuard, TypeVar, Union, cast, get_args, get_origin
+from typing import Annotated, Any, Final, Literal, TypeVar, Union, cast, get_args, get_origin
 
 import numpy as np
 from numpy.typing import NDArray
@@ -248,12 +248,6 @@ def _kind(annotation: Any) -> tuple[Kind | None, tuple[Any, ...]]:
     if not kinds or kinds == {None}:
         return None, ()
     return (kinds.pop() if len(kinds) == 1 else "any"), choices
-
-
-def declaration_of(function: Callable[..., Any]) -> experiment:
-    """Return what a function declares, nothing by default."""
-    declared = (getattr(one, ATTRIBUTE, None) for one in (function, _wrapped(function)))
-    return next((one for one in declared if isinstance(one, experiment)), experiment())
 
 
 def _checked(function: Callable[..., Any], declaration: experiment) -> "FunctionExperiment":
@@ -495,7 +489,8 @@ class FunctionExperiment(Experiment):
 
     def as_record(self) -> dict[str, Any]:
         """Return what a store records of a plain function besides what it records of every experiment."""
-        layout = results.json_of_layout(self.layout) if self.layout.fields else None
+        parts = {name: [*map(vars, getattr(self.layout, name))] for name in ("fields", "coordinates")}
+        layout = {**parts, "drawn": self.layout.drawn} if self.layout.fields else None
         outputs = [asdict(replace(output, coords=None)) for output in self.declared]
         return {"function": {"rng": self.rng, "layout": layout, "outputs": outputs}}
 
@@ -506,14 +501,10 @@ def _column(values: list[Any]) -> NDArray[Any]:
     return np.array(values) if alike and not results.unit_of(values[0]) else np.fromiter(values, object, len(values))
 
 
-def is_plain_function(value: object) -> TypeGuard[Callable[..., Any]]:
-    """Return whether something may be swept as a function: it can be called and is no experiment."""
-    return callable(value) and not isinstance(value, Experiment)
-
-
 def experiment_of(function: Callable[..., Any]) -> FunctionExperiment:
     """Return a plain function as an experiment; raises SweepError with every reason why it cannot be one."""
-    return _checked(function, declaration_of(function))
+    declared = (getattr(one, ATTRIBUTE, None) for one in (function, _wrapped(function)))
+    return _checked(function, next((one for one in declared if isinstance(one, experiment)), experiment()))
 
 
 def _undeclared(

@@ -31,7 +31,7 @@ from linksweep.sweep.contract import (
     suggest,
 )
 from linksweep.sweep.formatting import split_assignment
-from linksweep.sweep.functions.adapter import is_plain_function, name_of
+from linksweep.sweep.functions.adapter import name_of
 from linksweep.sweep.studies import built_in_studies
 from linksweep.sweep.studies.points import (
     KeyPath,
@@ -382,7 +382,7 @@ def live_study(document: Mapping[str, Any]) -> Study:
     written = plain_study({key: value for key, value in document.items() if key != "experiment"})
     if isinstance(function, str):
         written["experiment"], name = function, function.rpartition(":")[2]
-    elif isinstance(function, Experiment) or is_plain_function(function):
+    elif isinstance(function, Experiment) or callable(function):
         written["experiment"] = keep(function)
         name = function.name if isinstance(function, Experiment) else name_of(function)
     else:

@@ -1,5 +1,6 @@
 """Parameters come from the signature, the title from the docstring; what cannot be swept is refused with what to do."""
 
+import asyncio
 import functools
 import math
 import numbers
@@ -93,10 +94,6 @@ class Thing:
     __call__ = method
 
 
-async def waiting(x: float):
-    return x
-
-
 def odd(x: list, y: complex):
     return 1.0
 
@@ -105,12 +102,13 @@ def measured(x: "number of stars" = 1):  # noqa: F722
     return x
 
 
+METHOD = Thing().method
 REFUSED = [
     (measured, "function measured: parameter 'x': its annotation 'number of stars' cannot be read: invalid syntax"),
     *((math.sin, "x is positional-only"), (lambda *args: 1, r"\*args is variadic"), (max, "its signature|is variadic")),
     *((lambda **options: 1, r"\*\*options is variadic"), (np.hypot, "a NumPy ufunc.*wrap it in a function")),
-    *((Thing, "is a class"), (Thing.method, "is a method and takes self")),
-    *((waiting, "async"), (lambda x: (yield x), "a generator"), (functools.singledispatch(abs), "a singledispatch")),
+    *((Thing, "is a class"), (Thing.method, "is a method and takes self"), (asyncio.sleep, "async")),
+    *((lambda x: (yield x), "a generator"), (functools.singledispatch(abs), "a singledispatch")),
     (odd, r"(?s)axes.x: x = 1.0: must be an object of another type.*, such as a date, 2024-06-01.*y has no default"),
 ]
 
@@ -120,9 +118,6 @@ def test_what_cannot_be_swept_is_refused(function, sentence, tmp_path):
     with pytest.raises(SweepError, match=sentence):
         run(function, tmp_path / "s.zarr", axes={"x": [1.0]})
     assert not (tmp_path / "s.zarr").exists()
-
-
-METHOD = Thing().method
 
 
 @pytest.mark.parametrize("function", [METHOD, experiment()(METHOD), Thing(), functools.partial(lambda y, x: x * y, 1)])
