@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from linksweep.sweep.contract import Array, Named, SweepError, suggest
 from linksweep.sweep.formatting import first_of
-from linksweep.sweep.tables.reader import BRACKETS, MISSING, read_table, readme_of
+from linksweep.sweep.tables.reader import BRACKETS, MISSING, has_unit, read_table, readme_of
 
 Flags = NDArray[np.bool_]
 
@@ -367,16 +367,15 @@ class Columns:
         """Return the unit of a column, as its file or as ``units`` say; None for none, ValueError if they differ."""
         from astropy.units import Unit
 
-        name = str(self.name(quantity))
-        unit, stated = self.table[name].unit, self.units.get(quantity)
-        in_file = None if unit is None or str(unit) == "" else Unit(unit, parse_strict="silent")
+        name, stated = str(self.name(quantity)), self.units.get(quantity)
+        in_file = self.table[name].unit
         if stated is None:
-            return in_file
+            return None if str(in_file or "") == "" else in_file
         try:
             said = Unit(stated)
         except (ValueError, TypeError) as error:
             raise ValueError(f"units: {quantity} in {stated!r}, which is no unit like 'mas / yr'") from error
-        if in_file is not None and in_file != said:
+        if has_unit(self.table[name]) and in_file != said:
             raise ValueError(f"units: {quantity} in {stated}, but column {name!r} is in {in_file} as its file says")
         return said
 
@@ -402,7 +401,8 @@ class Columns:
             return 1.0
         factor = _factor(unit, wanted, _plain(quantity) in ALONG_RA)
         if factor is None:
-            raise ValueError(f"column {name!r} is in {unit}, not convertible to {wanted}")
+            hint = "" if has_unit(self.table[name]) else f"; say it like --unit {quantity}={wanted.replace(' ', '')}"
+            raise ValueError(f"column {name!r} is in {unit}, not convertible to {wanted}{hint}")
         return factor
 
     def _sexagesimal(self, name: str, unit: Any, right_ascension: bool) -> Array:

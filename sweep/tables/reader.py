@@ -58,6 +58,7 @@ _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)([eEdD][+-]?\d+)?")
 _RULE = re.compile(r"(?=.*[-=]{2})[-=+\s]+")
 # A number, an angle, a limit such as <0.5, or a mark, but no name or word.
 _VALUE = re.compile(r"(\W|\d|_|(?<=[\d.])[eEdDhms]|inf)+")
+_WRAPPED = re.compile(r"[\w ]*\[(.*)\]\Z|\A\((.*)\)\Z")  # like [deg], (deg), or Angle[deg] in Gaia's first releases
 _CLOCK = re.compile(r'"?([hd])\1?([: ]?)mm?\2ss?"?')  # of text like 12 34 56.7: "h:m:s" at VizieR, or hh:mm:ss
 _NO_UNIT = re.compile(r"-*|J\d{4}(\.\d+)?|ICR[SF]\d?")  # the frame or epoch of positions
 # Name and description of a column in VizieR's TSV.
@@ -85,6 +86,9 @@ def read_table(path: Path, texts: Collection[str] = ()) -> Any:
         # about units and headers that do not matter for the columns that are used
         with warnings.catch_warnings(action="ignore"):
             table = _read(path, content, texts)
+            for column in table.columns.values():  # each of astropy's readers knows one way to write units
+                if str(unit := getattr(column, "unit", None) or "") and not has_unit(column):
+                    column.unit = _unit(str(unit))
             _add_degrees(table)
         return table
     except OSError as error:
@@ -383,11 +387,18 @@ def _are_units(fields: Sequence[str], lines: Sequence[str], delimiter: str) -> b
     return any(re.search(r"\d", cell) for cell in cells) and all(map(_VALUE.fullmatch, cells))
 
 
+def has_unit(column: Any) -> bool:
+    """Return whether a column of an astropy Table has a unit that astropy knows."""
+    from astropy.units import UnrecognizedUnit
+
+    return str(column.unit or "") != "" and not isinstance(column.unit, UnrecognizedUnit)
+
+
 def _unit(text: str, strict: str = "silent") -> Any:
     """Return a text as an astropy unit: an unrecognised one, or None with "raise", where astropy does not know it."""
     from astropy.units import Unit
 
-    text = text.strip().strip("[]()").strip()
+    text = _WRAPPED.sub(r"\1\2", text.strip()).strip()
     text = _WORDS.get(text, text)
     if _NO_UNIT.fullmatch(text):
         return None
@@ -513,7 +524,7 @@ def _from_arrow(arrow: Any, columns: Sequence[str] | None = None) -> Any:
     arrow = arrow.cast(pyarrow.schema([field.with_type(kind) for field, kind in zip(arrow.schema, types, strict=True)]))
     table = from_frame(arrow.to_pandas(types_mapper=pd.ArrowDtype))
     for field in arrow.schema:
-        table[field.name].unit = (field.metadata or {}).get(b"unit", b"").decode() or None
+        table[field.name].unit = _unit((field.metadata or {}).get(b"unit", b"").decode())
     table.meta |= json.loads((arrow.schema.metadata or {}).get(b"linksweep", b"{}"))
     return table
 

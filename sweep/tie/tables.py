@@ -30,7 +30,7 @@ from linksweep.sweep.contract import SweepError, needed, refused, shown, suggest
 from linksweep.sweep.formatting import first_of
 from linksweep.sweep.tables import columns as archives
 from linksweep.sweep.tables.columns import ACCELERATIONS, CORRELATIONS, Columns, first_found, rows_where
-from linksweep.sweep.tables.reader import read_table as read_file
+from linksweep.sweep.tables.reader import has_unit, read_table as read_file
 from linksweep.sweep.tie.options import POSITIONS, SIDES, TABLE, ApplyOptions
 
 # Columns that name a source, in upper or lower case, best first; other columns of text come after them.
@@ -180,7 +180,7 @@ def as_read(link: Mapping[str, Any], table: Any, digest: str, asked: ApplyOption
     columns = {key: name for key, name in before.columns.items() if name in table.colnames} | dict(asked.columns)
     units = dict(asked.units)
     for key, unit in before.units.items():
-        if (name := archives.column_of(key, table.colnames, columns)) in table.colnames and not table[name].unit:
+        if (name := archives.column_of(key, table.colnames, columns)) in table.colnames and not has_unit(table[name]):
             units.setdefault(key, unit)
     as_before = asked.epoch is None and (side or archives.column_of("ref_epoch", table.colnames, columns) is None)
     cos_dec = before.pmra_cos_dec if "pmra" not in dict(asked.units) else None
@@ -821,6 +821,9 @@ def _models(
         if model != "orbit" and place.get(star) in elements:
             raise SweepError(f"model {model} of {star}, which has an orbit in {orbits}: which of them?")
         chosen |= {place[star]: model} if star in place else {}
+    named = [place[star] for star in models if star in place]
+    if twice := [star for star in models if named.count(place.get(star, -1)) > 1]:
+        raise SweepError(f"models of {' and '.join(twice)}, which are one star")
     if absent := [star for star, row in place.items() if chosen[row] == "orbit" and row not in elements]:
         raise SweepError(f"no elements of the orbit of {absent[0]}: give a table with --orbits")
     return np.array(list(chosen.values())), np.array([elements.get(row, np.zeros(7)) for row in chosen]).T

@@ -48,6 +48,7 @@ HIP2_ROWS = """\
      1   5 0 1  0.0000159148  0.0190068680    4.55    -4.55    -1.29
      2   5 0 1  0.0000662654 -0.3403239102   20.85   179.70     1.40
 """
+ODD_UNITS = {"dec": "Angle[deg]", "pmra": "mas.yr**-1", "parallax": "MAS", "pmdec": "MAS/YR"}
 UNITS = {"h": 15.0, "hourangle": 15.0, "min": 0.25, "s": 1 / 240, "rad": 180 / np.pi}
 MAY_BE_HOURS = {"ra_h": [0.5, 23.9], "ra": [0.0, 24.0], "alpha": [0.1, 6.2], "ra_s": [100.0, 300.0]}
 NO_ANGLES = ("24 00 00", "12 60 00", "12 34 61", "12", "twelve", "12 34 56 78", "1-2-3")
@@ -156,7 +157,15 @@ def test_units_in_names_and_errors_of_parts_are_found(tmp_path):
     read = Columns(read_table(written(tmp_path, "t.csv", text)))
     result = [read.quantity(name)[0] for name in ("ra", "dec", "ra_error", "dec_error", "pmra")]
     np.testing.assert_allclose(result, [10.5, 20.0, 0.003, 4.0, np.nan])
-    assert read.problems == ["column 'pmRA [arcsec/century]' is in arcsec/century, not convertible to mas / yr"]
+    said = "; say it like --unit pmra=mas/yr"
+    assert read.problems == [f"column 'pmRA [arcsec/century]' is in arcsec/century, not convertible to mas / yr{said}"]
+    columns = [f"# - {{name: {name}, unit: '{unit}', datatype: float64}}" for name, unit in ODD_UNITS.items()]
+    text = "\n".join(["# %ECSV 1.0", "# ---", "# datatype:", *columns, " ".join(ODD_UNITS), "30 1 2 3", ""])
+    read = Columns(read_table(written(tmp_path, "t.ecsv", text)), "", {}, {"parallax": "mas"}, ("parallax",))
+    assert [read.quantity(name)[0] for name in ODD_UNITS][:3] == [30.0, 1.0, 2.0]
+    assert read.problems == [
+        "column 'pmdec' is in MAS/YR, not convertible to mas / yr; say it like --unit pmdec=mas/yr"
+    ]
     text = "Name RAh RAm RAs DE- DEd DEm DEs e_RAs e_DEs\nA 01 00 00.0 - 30 00 00.0 0.001 0.02\n"
     read = Columns(read_table(written(tmp_path, "t.txt", text)))
     result = [read.quantity(name)[0] for name in ("ra", "dec", "ra_error", "dec_error")]

@@ -287,6 +287,7 @@ MISTAKES = {  # what changes tables, and the words of a misfit
     "positions in arcsec": (times("centroid_pos_al", 1e-3), f"{CHI2}positions along the scan, arcsec taken for mas"),
     "one star's angles": (angles_of_one_star, "of 100000000000000000 .*scan angles with reversed sign"),
 }
+TWO_MODELS = {"star_models": {"A": "7", str(10**17): "9"}}
 REFUSALS = {  # what changes tables, or options; and the words of an error
     "years": (times("obs_time_tcb", 1.0 / NS_PER_YEAR, 2010.0), "is not ns since 2010.0"),
     "a column": (lambda sky: sky.scans.remove_column("obs_time_bary_corr"), "no column obs_time_bary_corr"),
@@ -299,6 +300,10 @@ REFUSALS = {  # what changes tables, or options; and the words of an error
     "twice": (lambda sky: setattr(sky, "scans", vstack([sky.scans, sky.scans[:3]])), "observations are there twice"),
     "a model": ({"star_models": {"all": "6"}}, "models are 5, 7, 9, orbit"),
     "a star": ({"star_models": {"S1": "7"}}, "stars with observations"),
+    "one star": (
+        lambda sky: sky.satellite.add_column([*"ABCD"], name="v") or TWO_MODELS,
+        "models of A and 1.* one star",
+    ),
     "an orbit": ({"star_models": {str(10**17): "orbit"}}, f"no elements of the orbit of {10**17}"),
 }
 
