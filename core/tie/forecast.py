@@ -64,15 +64,17 @@ def release_of(epochs: Array, new: str, named: str | None = None) -> str:
 
 
 def released(
-    problem: Problem, new: str, named: str | None = None, epoch_moves: bool = True
+    problem: Problem, new: str, named: str = "table", epoch_moves: bool = True
 ) -> tuple[Problem, str, list[str]]:
     """Return the problem with the satellite's table as another release may give it: errors scaled, correlations kept,
     at that release's epoch, to which the epoch of the unknowns ``moves`` with it; the release that it is scaled from,
-    which may be ``named`` as for `release_of`; and notes on what was assumed.
+    which may be ``named`` as for `release_of`; and notes on what was assumed.  "table" leaves all as it is.
 
     For forecasts: the values stay the same, so only errors are meaningful.
     """
-    old = release_of(problem.satellite.epoch, new, named)
+    if new not in RELEASES:
+        return problem, "", []
+    old = release_of(problem.satellite.epoch, new, named if named in RELEASES else None)
     # T^-1/2 and T^-3/2 with the time T that observations span, as on ESA's Gaia science performance pages
     ratio = RELEASES[old].months / RELEASES[new].months
     position, motion = ratio**0.5, ratio**1.5

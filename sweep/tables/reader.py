@@ -1,4 +1,6 @@
-"""Reads tables of every format, each known by its content: see `FORMATS`; and writes them."""
+"""Reads tables, each known by its content: FITS, VOTable, ECSV, CSV, TSV or other delimited text, Parquet, MRT, or a
+table of CDS with its ReadMe beside it, text and XML also packed with gzip, bzip2 or xz; and writes them.
+"""
 
 import bz2
 import csv
@@ -18,11 +20,6 @@ from typing import Any
 import numpy as np
 
 from linksweep.sweep.contract import SweepError, needed, refused
-
-# The formats of a table, each known by its content; text and XML may be packed with gzip, bzip2 or xz.
-FORMATS = (
-    "FITS, VOTable, ECSV, CSV, TSV or other delimited text, Parquet, MRT, or a CDS table with its ReadMe beside it"
-)
 
 READMES = ("ReadMe", "README", "readme", "ReadMe.txt", "README.txt", "readme.txt")
 

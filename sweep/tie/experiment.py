@@ -18,7 +18,7 @@ from linksweep.sweep.contract import Experiment, Output, Parameter, Point, Sweep
 from linksweep.sweep.tables.columns import TableFile
 from linksweep.sweep.tables.options import declared, parameter
 from linksweep.sweep.tie import setup
-from linksweep.sweep.tie.link import FIELDS, Link, released, solve_link, spectrum
+from linksweep.sweep.tie.link import FIELDS, Link, solve_link, spectrum
 from linksweep.sweep.tie.options import POSITIONS, STUDY, TABLE, ForecastOptions, Options, listed
 
 # ---- what a study sets, and its results: degree 1 by component, harmonics by degree, spins by bin
@@ -213,7 +213,7 @@ def _design(values: tuple[tuple[str, Any], ...]) -> Design:
     matched = np.unique(problem.source)
     solved = solve_link(whole.only(matched), asked) if len(matched) else None
     notes = [] if solved is None else [*solved.notes]
-    problem, _, further = released(problem, point["release"], point["from_release"], point["epoch"] is None)
+    problem, _, further = forecast.released(problem, point["release"], point["from_release"], point["epoch"] is None)
     notes += further
     problem = _with_chosen(whole, problem, None if solved is None else solved.noise, point)
     if not len(problem.rows):

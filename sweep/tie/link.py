@@ -3,7 +3,7 @@ further observations would do to it, and which sources to observe; `apply`: a ta
 """
 
 import logging
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -562,7 +562,7 @@ def forecast(satellite: str | Path, reference: str | Path, unknowns: str | None 
     goal = planning.Goal(problem.unknowns, tuple(listed(plan.goal)), plan.criterion)
     with refused(ValueError):
         _ = goal.parts  # raises for an unknown block
-        future, old, further = released(problem, plan.release, plan.from_release, asked.epoch is None)
+        future, old, further = planning.released(problem, plan.release, plan.from_release, asked.epoch is None)
 
         def observed(*epochs: float) -> solving.NormalSums:
             """Return the sums of each source with new positions at some epochs."""
@@ -615,15 +615,6 @@ def _labels(unknowns: Unknowns) -> dict[str, Any]:
         "unit": ("unknown", list(unknowns.units)),
         "block": ("unknown", [block.name for block in unknowns.blocks for _ in block.labels]),
     }
-
-
-def released(
-    problem: solving.Problem, release: str, from_release: str, epoch_moves: bool
-) -> tuple[solving.Problem, str, Sequence[str]]:
-    """Return a problem with the errors of a release, the release that they were of, and notes; "table" leaves them."""
-    if release == TABLE:
-        return problem, "", ()
-    return planning.released(problem, release, None if from_release == TABLE else from_release, epoch_moves)
 
 
 def _errors(totals: Iterable[Array]) -> Array:
