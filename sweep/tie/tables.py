@@ -178,10 +178,9 @@ def as_read(link: Mapping[str, Any], table: Any, digest: str, asked: ApplyOption
     side = next((name for name in SIDES if digest and digest == link.get(f"{name}_sha256")), "")
     before = TableOptions(**link.get(f"{side or SIDES[0]}_read", {}))
     columns = {key: name for key, name in before.columns.items() if name in table.colnames} | dict(asked.columns)
-    units = dict(asked.units)
-    for key, unit in before.units.items():
-        if (name := archives.column_of(key, table.colnames, columns)) in table.colnames and not has_unit(table[name]):
-            units.setdefault(key, unit)
+    there = {key: archives.column_of(key, table.colnames, columns) for key in before.units}
+    without = {key for key, name in there.items() if name in table.colnames and not has_unit(table[name])}
+    units = {key: unit for key, unit in before.units.items() if key in without} | dict(asked.units)
     as_before = asked.epoch is None and (side or archives.column_of("ref_epoch", table.colnames, columns) is None)
     cos_dec = before.pmra_cos_dec if "pmra" not in dict(asked.units) else None
     return TableOptions(
