@@ -812,17 +812,14 @@ def _models(
 ) -> tuple[Any, Array]:
     """Return the model of each star with observations, in the order of their rows, and its orbit (7, S); add notes."""
     elements = {} if orbits is None else _orbits(place, Path(orbits), epoch, notes)
-    chosen = {row: "orbit" if row in elements else models.get("all", "5") for row in sorted(set(place.values()))}
+    said = dict.fromkeys(elements, "orbit")
     for star, model in models.items():
         if model not in MODELS or not (star == "all" or star in place):
             known = f"models are {', '.join(MODELS)}, stars with observations {first_of(list(place), 5)}"
             raise SweepError(f"model {model} of {star}: {known}")
-        if model != "orbit" and place.get(star) in elements:
-            raise SweepError(f"model {model} of {star}, which has an orbit in {orbits}: which of them?")
-        chosen |= {place[star]: model} if star in place else {}
-    named = [place[star] for star in models if star in place]
-    if twice := [star for star in models if named.count(place.get(star, -1)) > 1]:
-        raise SweepError(f"models of {' and '.join(twice)}, which are one star")
+        if star in place and model != (other := said.setdefault(place[star], model)):
+            raise SweepError(f"model {model} of {star}, which has the model {other} too: which of them?")
+    chosen = {row: said.get(row, models.get("all", "5")) for row in sorted(set(place.values()))}
     if absent := [star for star, row in place.items() if chosen[row] == "orbit" and row not in elements]:
         raise SweepError(f"no elements of the orbit of {absent[0]}: give a table with --orbits")
     return np.array(list(chosen.values())), np.array([elements.get(row, np.zeros(7)) for row in chosen]).T

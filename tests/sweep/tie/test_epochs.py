@@ -272,6 +272,11 @@ def of_dr3(sky):
     sky.scans.remove_columns(["ra0", "dec0"])
 
 
+def two_models(sky):
+    sky.satellite["v"] = [*"ABCD"]
+    return {"star_models": {"A": "7", str(10**17): "9"}}
+
+
 NS_PER_YEAR, CHI2 = 3.15576e16, "the likely cause: "
 MISTAKES = {  # what changes tables, and the words of a misfit
     "times 1.5 years late": (times("obs_time_tcb", 1.0, 1.5 * NS_PER_YEAR), f"{CHI2}times 1.5 years too late"),
@@ -287,7 +292,6 @@ MISTAKES = {  # what changes tables, and the words of a misfit
     "positions in arcsec": (times("centroid_pos_al", 1e-3), f"{CHI2}positions along the scan, arcsec taken for mas"),
     "one star's angles": (angles_of_one_star, "of 100000000000000000 .*scan angles with reversed sign"),
 }
-TWO_MODELS = {"star_models": {"A": "7", str(10**17): "9"}}
 REFUSALS = {  # what changes tables, or options; and the words of an error
     "years": (times("obs_time_tcb", 1.0 / NS_PER_YEAR, 2010.0), "is not ns since 2010.0"),
     "a column": (lambda sky: sky.scans.remove_column("obs_time_bary_corr"), "no column obs_time_bary_corr"),
@@ -300,10 +304,7 @@ REFUSALS = {  # what changes tables, or options; and the words of an error
     "twice": (lambda sky: setattr(sky, "scans", vstack([sky.scans, sky.scans[:3]])), "observations are there twice"),
     "a model": ({"star_models": {"all": "6"}}, "models are 5, 7, 9, orbit"),
     "a star": ({"star_models": {"S1": "7"}}, "stars with observations"),
-    "one star": (
-        lambda sky: sky.satellite.add_column([*"ABCD"], name="v") or TWO_MODELS,
-        "models of A and 1.* one star",
-    ),
+    "two models": (two_models, f"model 9 of {10**17}, which has the model 7 too"),
     "an orbit": ({"star_models": {str(10**17): "orbit"}}, f"no elements of the orbit of {10**17}"),
 }
 
@@ -360,7 +361,7 @@ def test_an_orbit_is_that_of_one_star_and_one_that_is_not_on_the_sky_is_none(tmp
         ([[*one, *angles], [*one[:4], *blank[:4], *angles]], {}, "one of several orbits of a star in row 1, 2"),
         ([[*one, 0.0, *angles[1:]]], {}, "elements and angles of two orbits in row 1"),
         ([[5, *one[1:], *angles]], {}, "no whole orbit of a star with observations"),
-        ([[*one, *angles]], {"star_models": {str(10**17): "7"}}, f"model 7 of {10**17}, which has an orbit"),
+        ([[*one, *angles]], {"star_models": {str(10**17): "7"}}, f"model 7 of {10**17}, which has the model orbit"),
     ):
         with pytest.raises(linksweep.SweepError, match=said):
             link(*rows, **options)
