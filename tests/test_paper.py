@@ -25,7 +25,6 @@ def paper(tmp_path_factory):
 
 
 def test_the_verdicts_are_those_of_the_document(paper):
-    """Laws, limits and tables of the paper are claims of the studies (Table 2, slopes of N and T, aberration, ...)."""
     text = " ".join((ROOT / "docs" / "science.md").read_text().split())
     words = r"with the built-in studies (\d+) are reproduced, (\d+) are within a tolerance .*? none is not reproduced, "
     reproduced, tolerated, incomparable = map(int, re.search(words + r"and (\d+) are not comparable", text).groups())

@@ -155,7 +155,6 @@ def test_no_bit_depends_on_who_shares_the_draw(changes, n_sim, seed):
 
 
 def test_a_users_accuracy_curve_is_computed_for_each_catalogue_by_itself():
-    """It may round otherwise among other objects: here by 1e-12 for each of them."""
     curve = points.FunctionCurve(points.Function(lambda v_mag: np.full(len(v_mag), 0.3 * (1.0 + 1e-12 * len(v_mag)))))
     mission = points.Named("a test", "", points.Mission(curve, curve, 1.0, np.inf, "a test"))
     limits = [scenario(point(catalogue="quasars", n_obj=None, v_max=v)) for v in (14.0, 15.0)]

@@ -104,7 +104,6 @@ def test_units_and_the_galactic_axes_are_astropys():
 @pytest.mark.parametrize("ra", [0.1, 2.5, 6.2])
 @pytest.mark.parametrize("dec", [-1.2, 0.0, 0.8])
 def test_triad_from_erfa_position_and_velocity(ra, dec):
-    """The derivative of the direction by time, for unit motions in ra* and dec."""
     _, q, r = triad(np.array(ra), np.array(dec))
     pv = erfa.s2pv(ra, dec, 1.0, 1.0 / np.cos(dec), 1.0, 0.0)
     np.testing.assert_allclose(pv["p"], r, atol=1e-15)

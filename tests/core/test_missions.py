@@ -206,7 +206,6 @@ def test_equal_errors_on_an_isotropic_sky_give_the_textbook_value():
 
 @pytest.mark.parametrize("model", CALIBRATED)
 def test_the_error_of_a_curve_is_that_of_its_constants(model):
-    """By differences of ln sigma by the logarithms of amplitudes and slopes."""
     calibrated, v_mag, step = CALIBRATED[model], np.linspace(5.0, 20.0, 7), 1e-6
     constants = np.log([one for a, slope, _ in calibrated.curve.terms for one in (a, slope)])
 

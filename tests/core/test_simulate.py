@@ -140,6 +140,12 @@ def test_equals_the_svd_of_each_realisation(seed, n_obj, sizes, polar, correlate
     np.testing.assert_allclose(sums["predicted_variance"][: len(variance)], 3.0 * variance, rtol=1e-7)
 
 
+def test_errors_of_twice_the_size_in_the_weights_have_four_times_the_chi2():
+    physics = physics_of(n_obj=20, epsilon=(0.0, 0.0, 0.0), omega=(0.0, 0.0, 0.0))
+    one, two = (run(replace(physics, satellite_error_ratio=ratio), 30)["chi2"] for ratio in (1.0, 2.0))
+    assert two == pytest.approx(4.0 * one)
+
+
 def test_an_object_that_its_error_carries_over_the_pole_is_named():
     zero = np.zeros(40)
     objects = replace(points.drawn(5, n_obj=40), errors=OwnErrors(np.full((40, 4), MAS)), pmra=zero, pmdec=zero)
@@ -192,7 +198,6 @@ def test_estimates_have_the_distribution_of_the_catalogue_method(changes):
 
 @pytest.mark.parametrize("changes", few(4, NEGLECTED[::-1]))
 def test_how_much_is_neglected(changes):
-    """The same errors of arcseconds, with the design of each realisation and with the one of the true reference."""
     both = ARCSEC | {"satellite_errors": "normal", "satellite_sigma_pos": 700.0, "satellite_sigma_pm": 200.0}
     physics = physics_of(**TWELVE | both | changes)
     setup = set_up(physics.draw_catalogue.draw(np.random.default_rng(2)), physics)

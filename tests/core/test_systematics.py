@@ -92,7 +92,6 @@ def test_what_zonal_errors_do_to_the_link_is_predicted(satellite_errors):
 
 
 def test_the_leak_of_known_fields_is_predicted():
-    """Estimates are biased by the link of the fields, and chi2 by its chi2: it is noncentral."""
     known = {"omega_slope": (0.3, -0.1, 0.2), "magnitude_equation_pmra": 0.4, "magnitude_equation_pmdec": -0.3}
     known |= {"v_zero": 12.0, "motion_field": "t_2_0=0.5,s_2_1_re=-0.7"}
     catalogue = sky(40)
@@ -202,7 +201,6 @@ def test_underestimated_errors_scatter_more_with_the_same_weights(weighting, ref
 
 
 def test_one_side_underestimated_is_predicted():
-    """The sandwich G Sigma G' with the true Sigma, and its Monte Carlo."""
     honest, n_sim = point(n_obj=60, **FLAT), 1000
     result = points.evaluated(n_sim, honest | {"satellite_error_ratio": 3.0})
     ratio = result["predicted_variance"][:, :6] / n_sim / points.evaluated(1, honest)["predicted_variance"][:, :6]

@@ -80,7 +80,9 @@ def test_what_is_not_there_is_said_or_left_out():
         concluding(made(), "{gaia}", grid=ZIPPED, gaia=slope)
 
 
-def test_without_a_conclusion_the_range_answers():
+def test_without_a_conclusion_the_range_answers(tmp_path):
+    two = linksweep.run(lambda x=1.0: {"a": x, "b": x}, tmp_path / "s", pool="serial")
+    assert [one[:2] for one in said(two)] == ["a:", "b:"]
     assert said(made())[0].startswith("sigma_spin (RMS error): It is between 0.5")
     assert "not known" in said(made(error=np.nan))[0]
     (answer,) = answers(made([[-1.0, 1.0], [-1.0, 1.001]]))  # model changes it by less than a hundredth of its range

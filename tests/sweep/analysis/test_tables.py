@@ -113,6 +113,8 @@ def test_each_component_and_a_bad_condition_are_shown_in_80_columns():
     assert shown == [[f"omega_{axis}", f"{number:.2f}", "mas/yr"] for axis, number in zip("xyz", sigma, strict=True)]
     words = "sigma, n_obj=12: condition number 2e+03, largest correlation -0.999 (omega_y, omega_z)"
     assert words in " ".join(text.split())
+    better = [masers.assign(condition_number=("n_obj", [n])).assign_coords(n_obj=[n]) for n in (3, 4, 5)]
+    assert words in " ".join(text_of(xr.concat([*better, masers], "n_obj")).split())  # of the three worst
     assert max(map(len, text.splitlines()[:4])) <= 80
     warned = "at 1 point the condition number is up to 2e+03"
     assert (warned in text, warned in text_of(masers.assign(condition_number=("n_obj", [3.0])))) == (True, False)

@@ -78,8 +78,8 @@ def test_what_holds_results(tmp_path):
     ds = results_of({name: kind(y=1.0, z="a") for name, kind in kinds.items()}, tmp_path)
     assert (ds.y.values.tolist(), ds.z.values.tolist()) == ([1.0] * 3, ["a"] * 3)
     assert results_of({"a": [1.0, 2.0], "b": (3.0, 4.0)}, tmp_path, fresh=True).f.dims == ("case", "f_dim_0")
-    ds = results_of({"a": 3.5}, tmp_path, [Output("y", unit="m")], fresh=True)
-    assert (ds.y.item(), ds.y.units) == (3.5, "m")
+    ds = results_of({"a": 3.5 * u.Unit("J s / m")}, tmp_path, [Output("y", unit="kg m / s")], fresh=True)
+    assert (ds.y.item(), ds.y.units) == (3.5, "kg m / s")  # as it is declared
     results_of({"a": np.arange(1e5)}, tmp_path, fresh=True)
     assert (tmp_path / "s.zarr" / "zarr.json").stat().st_size < 20_000  # which counts them
     ds = results_of({"a": pd.Series([1.0, 2.0], pd.Index([10, 20], name="hour"), name="power")}, tmp_path, fresh=True)

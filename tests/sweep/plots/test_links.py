@@ -47,7 +47,6 @@ def residuals(ra, dec, values, errors):
 
 
 def test_arrows_point_as_the_sky_does():
-    """A step along an arrow on the sphere is a step along it on the map; east is to the left, north up."""
     ra, dec = np.array([180.0, 180.0, 320.0, 359.0, 20.0]), np.array([0.0, 0.0, 45.0, -20.0, 70.0])
     values = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 1.0], [0.6, -0.8], [-1.0, 0.3]])
     axes = linksweep.plot(residuals(ra, dec, values, np.ones((5, 2))), "residuals").axes[0]

@@ -49,7 +49,6 @@ def look(store):
 @examples_of(max_examples=examples(25, quick=2))
 @given(XS, SIMS, st.integers(1, 20), FLAGS, st.integers(0, 2000))
 def test_the_points_are_those_of_the_status(tmp_path_factory, xs, sims, tasks, flags, refined):
-    """Of runs that are extended, refined at a point and stopped anywhere; with failures, exclusions, repeated rows."""
     (excluded, table, precision), folder = flags, tmp_path_factory.mktemp("any")
     store = folder / "s.zarr"
     (folder / "f.py").write_text(CODE)

@@ -282,7 +282,6 @@ def test_separations_and_the_clip_of_rayleigh(tmp_path, seed):
 
 @pytest.mark.parametrize("some", [("motion", "all"), *map(slow, (("five-parameter", "position"), ("all",)))])
 def test_jitter_is_what_one_would_add_by_hand(tmp_path, some):
-    """To the errors of each row of its kind, wherever it stands in the table; covariances stay."""
     tables, rng = drawn_tables(tmp_path, 1), np.random.default_rng(1)
     jitter = {kind: (0.0 if kind == "motion" else rng.uniform(0.0, 1.0), rng.uniform(0.0, 1.0)) for kind in some}
     # one number is that of motions for rows that have nothing else

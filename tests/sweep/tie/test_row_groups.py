@@ -124,7 +124,6 @@ def test_wrong_rows_are_named_with_their_row_group(tmp_path, by_groups):
 
 @pytest.mark.slow
 def test_without_sources_memory_hardly_grows_with_their_number(tmp_path, by_groups):
-    """20 bytes and no more of each source: an array of numbers takes 8."""
 
     def peak(n):
         path = quasars(tmp_path / f"{n}.parquet", n, 2000)

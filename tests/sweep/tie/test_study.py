@@ -69,7 +69,6 @@ def test_monte_carlo_errors_are_the_scatter_between_seeds(tmp_path, n_sim, study
 
 
 def test_results_of_draws_are_those_of_the_samples():
-    """With the errors of the draws three times those of the tables: formal errors cover less, scaled ones as before."""
     at, n = point("pulsar-timing", error_factor=3.0), 300
     result = results(at, n)
     sums = tie.samples([at], n, np.random.default_rng(1), np.random.default_rng(0))
@@ -85,6 +84,8 @@ def test_results_of_draws_are_those_of_the_samples():
     predicted = np.sqrt(np.mean(result["sigma_predicted"][:3] ** 2))
     np.testing.assert_allclose(result["sigma_orientation_predicted"], predicted)
     np.testing.assert_allclose(result["coverage"][:3], np.mean(np.abs(off) <= result["sigma_predicted"][:3], axis=0))
+    each = [at | {"error_factor": k, "outliers": 1.0, "outlier_factor": 6.0 / k} for k in (1.0, 3.0)]
+    np.testing.assert_allclose(*(results(one, n)["sigma"] for one in each))
     # scaled errors follow from 15 degrees of freedom: estimate - truth over them is of Student
     np.testing.assert_allclose(result["coverage_scaled"][:3], 1.0 - 2.0 * stats.t.sf(1.0, 15), atol=0.08)
 
