@@ -176,7 +176,7 @@ def _votable(content: bytes) -> Any:
     if not tables:
         raise SweepError("has no table in it")
     _require_one([f"{table.name or table.ID or 'table'} ({k})" for k, table in enumerate(tables, 1)])
-    return tables[0].to_table(use_names_over_ids=True)
+    return _each_once(tables[0].to_table(use_names_over_ids=True), [field.name for field in tables[0].fields])
 
 
 def _ecsv(content: bytes) -> Any:
@@ -225,13 +225,7 @@ def _delimited(text: str, texts: Collection[str]) -> Any:
     """
     content = text.replace("\r\n", "\n").replace("\r", "\n").encode()
     names, units, delimiter, start = _layout(content)
-    different = [f"{name} {k}" if name in names[:k] else name for k, name in enumerate(names)]
-    table = _rows(content[start:], different, delimiter, texts)
-    for name, column in zip(names, different, strict=True):
-        if column != name:  # Gaia's epoch astrometry has one twice
-            if list(map(str, table[name])) != list(map(str, table[column])):
-                raise SweepError(f"two columns are called {name!r}")
-            table.remove_column(column)
+    table = _rows(content[start:], names, delimiter, texts)
     for name, unit in zip(names, units, strict=True):
         bracketed = BRACKETS.fullmatch(name)
         table[name].unit = _unit(unit or (bracketed[2] if bracketed else ""))
@@ -279,8 +273,8 @@ def from_frame(frame: Any) -> Any:
     """Return a frame of columns that allow gaps as an astropy Table, masked there; text is fixed-width."""
     from astropy.table import Column, MaskedColumn, Table
 
-    table = Table()
-    for name, column in frame.items():
+    table, names = Table(), list(frame.columns)
+    for k, (name, column) in enumerate(frame.items()):
         missing = column.isna().to_numpy(dtype=bool)
         kind = np.dtype(getattr(column.dtype, "numpy_dtype", "U"))
         if kind.kind in "fiub":
@@ -293,7 +287,20 @@ def from_frame(frame: Any) -> Any:
             values = np.array(decoded, dtype=np.str_)
         if len(values) and missing.all():
             values = np.full(len(values), np.nan)
-        table[name] = MaskedColumn(values, mask=missing) if missing.any() else Column(values)
+        label = f"{name} {k}" if name in names[:k] else name
+        table[label] = MaskedColumn(values, mask=missing) if missing.any() else Column(values)
+    return _each_once(table, names)
+
+
+def _each_once(table: Any, names: Sequence[str]) -> Any:
+    """Return a table whose columns have these names in the file, without repeated ones, as Gaia's epochs have them;
+    raises SweepError where two of a name differ.
+    """
+    again = [k for k, name in enumerate(names) if name in names[:k]]
+    for k in again:
+        if list(map(str, table.columns[names.index(names[k])])) != list(map(str, table.columns[k])):
+            raise SweepError(f"two columns are called {names[k]!r}")
+    table.remove_columns([table.colnames[k] for k in again])
     return table
 
 

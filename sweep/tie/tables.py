@@ -481,7 +481,7 @@ def _numbers(cell: Any, number: re.Pattern[str] = _ELEMENT) -> Array:
         if re.search(r"\w", number.sub("", cell)):
             raise ValueError(f"{shown(cell)} is not a list of numbers")
         return np.array([_IN_NUMBERS.get(part.lower(), part) for part in number.findall(cell)], float)
-    return np.array(np.ravel(np.ma.filled(cell, np.nan)), float)
+    return np.ravel(np.ma.filled(np.ma.asarray(cell, dtype=np.float64), np.nan))
 
 
 def _vectors(read: Columns, name: str, size: int, number: re.Pattern[str] = _ELEMENT) -> Array:

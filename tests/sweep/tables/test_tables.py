@@ -2,7 +2,6 @@
 """Tables as strangers have them: every format, units, gaps and angles, what is wrong; and conditions on rows."""
 
 import gzip
-import io
 from pathlib import Path
 
 import numpy as np
@@ -264,14 +263,18 @@ def test_what_is_no_table_is_a_sentence(content, problem, tmp_path):
     assert error.value.where == str(path)
 
 
-def test_two_tables_in_one_file(tmp_path):
-    one = io.BytesIO()
-    Table({"ra": [1.0]}).write(one, format="votable")
-    text = one.getvalue().decode()
+def test_two_tables_in_one_file_or_two_columns_of_one_name(tmp_path):
+    Table({"ra": [1.0], "rb": [2.0]}).write(tmp_path / "a.vot", format="votable")
+    text = (tmp_path / "a.vot").read_text()
+    parquet.write_table(pa.table([[1.0], [2.0]], ["ra", "ra"]), tmp_path / "p.parquet")
+    for path in (tmp_path / "p.parquet", written(tmp_path, "b.vot", text.replace('"rb"', '"ra"'))):
+        with pytest.raises(SweepError, match="two columns are called 'ra'"):
+            read_table(path)
     body = text[text.index("<TABLE") : text.index("</TABLE>") + 8]
-    named = body.replace("<TABLE", '<TABLE name="second"', 1)
     with pytest.raises(SweepError, match=r"has 2 tables in it: table \(1\), second \(2\); leave one"):
-        read_table(written(tmp_path, "t.vot", text.replace(body, body + named)))
+        read_table(
+            written(tmp_path, "t.vot", text.replace(body, body + body.replace("<TABLE", '<TABLE name="second"', 1)))
+        )
     first, second = (fits.BinTableHDU(Table({"ra": [x]}), name=name) for x, name in ((1.0, "A"), (2.0, "B")))
     fits.HDUList([fits.PrimaryHDU(), first, second]).writeto(tmp_path / "two.fits")
     with pytest.raises(SweepError, match=r"has 2 tables in it: A \(1\), B \(2\); leave one"):

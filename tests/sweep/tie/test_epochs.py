@@ -123,6 +123,8 @@ def written(folder, scans, form="ecsv", units=True):
         frame.rename(columns=lambda name: re.sub("_([a-z])", lambda result: result[1].upper(), name)).to_parquet(path)
     else:
         table.write(path, overwrite=True, **({"format": "votable"} if form == "xml" else {}))
+    if form == "xml":  # arrays of any length, as the archive has them
+        path.write_text(path.read_text().replace('"9" datatype="long"', '"*" datatype="long"'))
     return path
 
 
@@ -228,7 +230,7 @@ def test_a_link_is_that_of_all_observations_with_every_parameter(tmp_path_factor
     assert link.attrs["misfit"] == ""
 
 
-@pytest.mark.parametrize("form", few(2, ["csv", "flat.fits", "ecsv", "xml", "parquet", "dpac.parquet"]))
+@pytest.mark.parametrize("form", few(2, ["xml", "csv", "flat.fits", "ecsv", "parquet", "dpac.parquet"]))
 def test_each_format_is_read_and_gives_the_link_of_what_gaiasupdate_finds(tmp_path, form):
     from gaiasupdate.epoch_astrometry import GaiaEpochAstrometryArchive
 
@@ -258,8 +260,7 @@ def put(name, at, value):
 
 
 def angles_of_one_star(sky):
-    names = sky.scans["source_id"]
-    sky.scans["scan_pos_angle"] *= np.where(names == names[0], -1.0, 1.0)[:, None]
+    sky.scans["scan_pos_angle"] *= np.where(sky.scans["source_id"] == 10**17, -1.0, 1.0)[:, None]
 
 
 def one_binary(sky):
