@@ -11,6 +11,7 @@ from decimal import localcontext
 from functools import cache
 from pathlib import Path
 
+import dask
 import pytest
 import threadpoolctl
 from click.testing import CliRunner
@@ -26,6 +27,8 @@ gc.set_threshold(20_000)  # looking for garbage took a twentieth of the time
 os.fsync = lambda descriptor: None  # no test cuts the power, and waiting for the disk took a tenth
 # Every run looked through all libraries of the process: those that matter are there, and use one thread anyway.
 threadpoolctl.ThreadpoolController = cache(threadpoolctl.ThreadpoolController)
+
+dask.config.set(scheduler="synchronous")  # after its threads nothing could be forked
 
 # Files of tests are in memory, if there is much of it: the disk took a tenth. Those of tests that pass are removed.
 if os.path.isdir("/dev/shm") and os.statvfs("/dev/shm").f_bavail > 2**20:

@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 import warnings
 from collections import deque
@@ -21,6 +22,7 @@ from dataclasses import replace
 from functools import partial
 from itertools import count, islice
 from multiprocessing.connection import Connection, wait
+from multiprocessing.dummy import DummyProcess
 from pickle import UnpicklingError
 from queue import SimpleQueue
 from typing import IO, Any
@@ -227,10 +229,19 @@ class _Trial:
 
 def _may_be_forked() -> bool:
     """Return whether a copy of this process can compute: Accelerate on macOS cannot, nor some libraries that the user
-    may have computed with.  Python lets no daemonic process have children of this kind.
+    may have computed with, nor pools of this session, such as those of Dask and joblib: a copy would wait for their
+    threads, which it has not.  Python lets no daemonic process have children of this kind.
     """
     known = any(name in sys.modules for name in NOT_TO_BE_FORKED)
-    return sys.platform == "linux" and not known and not multiprocessing.current_process().daemon
+    threads = {*threading.enumerate()} - {threading.main_thread(), threading.current_thread()}
+    pooled = any(
+        isinstance(thread, DummyProcess)
+        or thread.name == "IO loop"  # of Dask's clients
+        # A copy makes those of Zarr anew, and sets no timers.
+        or not (thread.daemon or thread.name.startswith("asyncio_") or isinstance(thread, threading.Timer))
+        for thread in threads
+    )
+    return sys.platform == "linux" and not (known or pooled or multiprocessing.current_process().daemon)
 
 
 class _Child:

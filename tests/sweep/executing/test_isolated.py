@@ -10,7 +10,9 @@ import sys
 import threading
 import time
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
+from multiprocessing.pool import ThreadPool
 from pathlib import Path
 
 import numpy as np
@@ -143,7 +145,8 @@ def test_a_block_may_run_a_study_and_end_a_process_that_it_has_forked(tmp_path, 
     assert (ds["ended"].values.tolist(), ds["sum"].values.tolist()) == ([-signal.SIGTERM] * 2, [3, 6])
 
 
-def test_a_function_that_cannot_be_pickled_is_computed_in_a_child(tmp_path):
+def test_a_function_that_cannot_be_pickled_is_computed_in_a_child(tmp_path, monkeypatch):
+    monkeypatch.setattr(threading, "enumerate", list)  # other tests may have left pools
     with io.StringIO("the content") as file:
 
         def f(x: float):
@@ -156,15 +159,21 @@ def test_a_function_that_cannot_be_pickled_is_computed_in_a_child(tmp_path):
     assert len(set(ds.process.values.tolist())) == 1  # it lives on
 
 
-def test_where_no_process_may_be_forked_a_new_one_computes_the_same(tmp_path, monkeypatch):
+@pytest.mark.parametrize("pool", [ThreadPool, ThreadPoolExecutor])
+def test_where_no_process_may_be_forked_a_new_one_computes_the_same(tmp_path, monkeypatch, pool):
     large, store = bytes(10**6), tmp_path / "s.zarr"  # more than a pipe holds
 
     def f(x: float):
         return x / 3.0 * ("-c" in sys.argv) + large[0]
 
     monkeypatch.setattr(os, "fork", lambda: os.listdir(tmp_path / "gone"))
-    with pytest.raises(SweepError, match="a child process could not start: "):
-        run(f, store, axes={"x": [1.0, 2.0]})
+    with monkeypatch.context() as alone:
+        alone.setattr(threading, "enumerate", list)
+        with pytest.raises(SweepError, match="a child process could not start: "):
+            run(f, store, axes={"x": [1.0, 2.0]})
+    with pool(1) as busy:
+        busy.map(int, "1")
+        assert run(f, store, axes={"x": [1.0]}).f.values.tolist() == [1.0 / 3.0]
     monkeypatch.setitem(sys.modules, "polars", sys)
     assert run(f, store, axes={"x": [1.0, 2.0]}).f.values.tolist() == [1.0 / 3.0, 2.0 / 3.0]
     (tmp_path / "sitecustomize.py").write_text("import os; os._exit(3)")
