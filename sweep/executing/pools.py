@@ -6,9 +6,9 @@ A new pool needs an entry in `POOLS` and a name in `PoolName`.
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
-from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 if TYPE_CHECKING:
@@ -23,20 +23,15 @@ MEMORY_AT_LEAST = 200 * 10**6
 
 
 class Pool(NamedTuple):
-    """A pool in words, the function that opens it as ``module:name``, and whether it has workers."""
+    """A pool in words, what opens it as ``module:name``, and whether it has workers.
+
+    What opens it takes the reference of an experiment and the number of workers, for processes also limits, and returns
+    a context manager that gives the place and the executor.
+    """
 
     words: str
     opener: str
     has_workers: bool = True
-
-    def open(self, *arguments: Any) -> Any:
-        """Return a context manager that gives the place and the executor of an experiment with this reference.
-
-        The arguments are the reference and the number of workers, for processes also limits, for `DASK` the resources
-        and who says it.
-        """
-        module, _, name = self.opener.partition(":")
-        return getattr(import_module(module), name)(*arguments)
 
 
 POOLS: Mapping[PoolName, Pool] = {
@@ -47,7 +42,7 @@ POOLS: Mapping[PoolName, Pool] = {
 DEFAULT_POOL: PoolName = "processes"
 
 # The workers of a scheduler, a cluster or a client, and local ones with a dashboard.
-DASK = Pool("Dask's workers", "linksweep.sweep.executing.clusters:dask_workers")
+DASK = "linksweep.sweep.executing.clusters:dask_workers"
 
 
 @dataclass(frozen=True)
@@ -138,14 +133,14 @@ class Resources:
                 raise SweepError(f"client = {shown(one)}{state}: must be {wanted}")
 
     def open(self, reference: str, say: Callable[[str], None]) -> Any:
-        """Return the context manager of `Pool.open`, for an experiment with this reference."""
+        """Return what the opener of the pool does, for an experiment with this reference."""
         if (self.scheduler, self.cluster, self.client, self.dashboard) != (None, None, None, False):
-            return DASK.open(reference, self, say)
+            return resolve_name(DASK)(reference, self, say)
         pool = POOLS[self.pool or DEFAULT_POOL]
         workers = (self.workers or available_cores()) if pool.has_workers else 1
         if self.limits:  # a process that reaches them is ended: not this one
-            return POOLS["processes"].open(reference, workers, self.limits)
-        return pool.open(reference, workers)
+            return resolve_name(POOLS["processes"].opener)(reference, workers, self.limits)
+        return resolve_name(pool.opener)(reference, workers)
 
     @property
     def none_requested(self) -> bool:

@@ -400,7 +400,10 @@ class Writer:
                 self.store.location.clear()  # as if nothing had been begun
         elif error is not None:
             with suppress(SweepError, OSError):  # the latter of Zarr, where no more files can be opened
-                self.stop()
+                with self._postponed():
+                    self.flush()
+                if not self._long_write:  # else the next run makes the dataset anew from the ledger
+                    self.write()
             self.require_whole(error.problems if isinstance(error, SweepError) else ())
 
     @property
@@ -551,16 +554,6 @@ class Writer:
         more = f" and {len(lost) - 1:,} more files" if len(lost) > 1 else ""
         sentence = f"{lost[0]}{more} of it went during the run; the results so far are in {rescued}"
         raise SweepError([*problems, sentence], str(place))
-
-    def stop(self) -> None:
-        """Make everything durable where a run ends early, and write the dataset once more unless that takes long.
-
-        Where it is not written, the dataset is an earlier one, and the next run makes it anew from the ledger.
-        """
-        with self._postponed():
-            self.flush()
-        if not self._long_write:
-            self.write()
 
     def flush(self) -> None:
         """Make everything taken so far durable; raises SweepError where that is not possible, or was not before."""

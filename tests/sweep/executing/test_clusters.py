@@ -177,33 +177,29 @@ def test_an_asynchronous_or_closed_client_is_refused(client):
         pools.Resources(client=other)
 
 
-class Files:
-    def __init__(self, folder):
-        folder.mkdir()
-        issued = (authority := trustme.CA()).issue_cert("localhost", "127.0.0.1")
-        parts = {"ca": authority.cert_pem, "cert": issued.cert_chain_pems[0], "key": issued.private_key_pem}
-        self.files = {name: str(folder / f"{name}.pem") for name in parts}
-        for name, part in parts.items():
-            part.write_to_path(self.files[name])
-
-    def options(self, ca="--tls-ca"):
-        return (ca, self.files["ca"], "--tls-cert", self.files["cert"], "--tls-key", self.files["key"])
+def tls_files(folder):
+    folder.mkdir()
+    issued = (authority := trustme.CA()).issue_cert("localhost", "127.0.0.1")
+    files = {"ca": authority.cert_pem, "cert": issued.cert_chain_pems[0], "key": issued.private_key_pem}
+    for name, part in files.items():
+        part.write_to_path(str(folder / f"{name}.pem"))
+    return [word for name in files for word in (f"--tls-{name}", str(folder / f"{name}.pem"))]
 
 
 @pytest.mark.slow
 def test_a_study_runs_over_tls_and_wrong_certificates_are_refused_in_a_sentence(link_study, tmp_path, sweep, reference):
-    files, strangers, rubbish = (Files(tmp_path / name) for name in ("tls", "strangers", "rubbish"))
+    files, strangers, rubbish = (tls_files(tmp_path / name) for name in ("tls", "strangers", "rubbish"))
     (tmp_path / "rubbish" / "key.pem").write_text("no key\n")
     (tmp_path / "dask").mkdir()
-    with closing(Outside(tmp_path / "dask", *files.options("--tls-ca-file"), protocol="tls")) as outside:
+    with closing(Outside(tmp_path / "dask", "--tls-ca-file", *files[1:], protocol="tls")) as outside:
         outside.start_worker()
         run = ("run", link_study, "-o", tmp_path / "s.zarr", "--scheduler", outside.address)
-        wrong = {(): "no certificates for", strangers.options(): "certificate verify failed"}
-        for options, says in {**wrong, rubbish.options(): "cannot use the TLS files"}.items():
+        wrong = ([], "no certificates for"), (strangers, "certificate verify failed")
+        for options, says in (*wrong, (rubbish, "cannot use the TLS files")):
             code, _, err = sweep(*run, *options)
             assert (code, len(err.splitlines()), says in err) == (2, 1, True), err
             assert not (tmp_path / "s.zarr").exists()
-        assert f"the Dask scheduler at {outside.address}" in sweep(*run, *files.options(), code=0)[2]
+        assert f"the Dask scheduler at {outside.address}" in sweep(*run, *files, code=0)[2]
     same(tmp_path / "s.zarr", reference)
 
 

@@ -8,7 +8,7 @@ import subprocess
 import time
 from contextlib import closing
 from importlib.metadata import version
-from itertools import product
+from itertools import product, takewhile
 
 import pytest
 
@@ -68,12 +68,7 @@ def outside(tmp_path):
 
 
 def lines_until(words, process):
-    before = ""
-    for line in process.stderr:
-        if words in line:
-            return before
-        before += line
-    raise AssertionError(before)
+    return "".join(takewhile(lambda line: words not in line, process.stderr))
 
 
 @pytest.mark.slow
