@@ -32,7 +32,7 @@ from threadpoolctl import threadpool_limits
 from linksweep.sweep.code import new_process, provide, sendable
 from linksweep.sweep.contract import SweepError, refused
 from linksweep.sweep.executing import worker
-from linksweep.sweep.executing.pools import NO_LIMITS, Limits, Place, Resources, available_cores
+from linksweep.sweep.executing.pools import ANY_RESOURCES, NO_LIMITS, Limits, Place, Resources, available_cores
 from linksweep.sweep.executing.task import AnyJob, Call, Executor, Failure, Identity, PointBlock, Task, TaskResult
 from linksweep.sweep.interrupt import SIGNALS
 from linksweep.sweep.studies.study import Study
@@ -421,7 +421,9 @@ def _end_with(number: int) -> None:
 
 
 def _serve(channel: Connection, words: IO[bytes]) -> None:
-    """Compute the tasks that come by a channel, and answer with results, and None at the end of each task."""
+    """Compute the tasks that come by a channel.  Answer with lists of results, at once with each unit of one that is to
+    be ``careful``, and with None at the end of each task.
+    """
     import faulthandler
 
     worker.leave_signals_to_parent()
@@ -437,21 +439,15 @@ def _serve(channel: Connection, words: IO[bytes]) -> None:
     deadlines = worker.Deadlines()
     with threadpool_limits(1), suppress(EOFError):
         while (message := channel.recv()) is not None:
-            for results in _results(deadlines, *message):
-                channel.send(results)
+            task, careful = message
+            ready, sent = list[TaskResult](), time.monotonic()
+            for result in worker.run_units(task, deadlines, apart=careful):
+                ready.append(result)
+                if careful or time.monotonic() > sent + SEND_EVERY_S:
+                    channel.send(ready)
+                    ready, sent = [], time.monotonic()
+            channel.send(ready)
             channel.send(None)
-
-
-def _results(deadlines: worker.Deadlines, task: Task, careful: bool) -> Iterator[list[Any]]:
-    """Yield the results of a task: several at once, or if ``careful`` each unit as soon as it is done."""
-    ready, sent = list[TaskResult](), time.monotonic()
-    for result in worker.run_units(task, deadlines, apart=careful):
-        ready.append(result)
-        if careful or time.monotonic() > sent + SEND_EVERY_S:
-            yield ready
-            ready, sent = [], time.monotonic()
-    if ready:
-        yield ready
 
 
 Map = Callable[[Callable[..., Any], Iterable[tuple[Any, ...]]], Iterator[Any]]
@@ -475,7 +471,7 @@ def choose_executor(study: Study, cost: float, resources: Resources, say: Callab
     Where nothing is requested these are worker processes, one per core.  Unless the cost that the experiment declares
     shows that they are needed, they are started only once the time that the first points take does.
     """
-    if resources.none_requested and (not study.experiment.says_cost or cost < CERTAINLY_LONG):
+    if resources == ANY_RESOURCES and (not study.experiment.says_cost or cost < CERTAINLY_LONG):
         return _measured_first(study, cost, say)
     opened: Opened = resources.open(study.experiment_reference, say)
     return opened
@@ -576,7 +572,7 @@ def mapped(reference: str, resources: Resources, say: Callable[[str], None]) -> 
 
     A piece gives the same bits wherever it is computed; what the function raises is raised here.
     """
-    opened = serial(reference) if resources.none_requested else resources.open(reference, say)
+    opened = serial(reference) if resources == ANY_RESOURCES else resources.open(reference, say)
     with opened as (_, execute):
 
         def ordered(function: Callable[..., Any], pieces: Iterable[tuple[Any, ...]]) -> Iterator[Any]:

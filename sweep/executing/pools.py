@@ -142,12 +142,8 @@ class Resources:
             return resolve_name(POOLS["processes"].opener)(reference, workers, self.limits)
         return resolve_name(pool.opener)(reference, workers)
 
-    @property
-    def none_requested(self) -> bool:
-        """Whether the user has left the choice of where to run to linksweep."""
-        return self == Resources()
 
-
+# The choice of where to run is left to linksweep.
 ANY_RESOURCES = Resources()
 
 

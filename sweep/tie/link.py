@@ -22,7 +22,7 @@ from linksweep.core.tie.noise import ESTIMATE, Noise, estimated, noises
 from linksweep.core.unknowns import PARAMETERS, Harmonics, Objects, SpinByBin, Unknowns, amplitudes, link_unknowns
 from linksweep.sweep.contract import SweepError, p_value, refused
 from linksweep.sweep.executing.executor import mapped
-from linksweep.sweep.executing.pools import NO_LIMITS, Limits, Resources
+from linksweep.sweep.executing.pools import ANY_RESOURCES, NO_LIMITS, Limits, Resources
 from linksweep.sweep.result import require_free, stored_table, write_at_once
 from linksweep.sweep.tables.columns import CORRELATIONS, Columns, unit_of
 from linksweep.sweep.tables.options import number
@@ -321,7 +321,7 @@ def tie(
         with mapped(EXPERIMENT, on, logging.getLogger("linksweep").warning) as run:
             setup, sources = set_up_row_groups(satellite, asked, run, per_source)
             link = solve_link(setup, asked, sources, per_source)
-    elif on.none_requested:
+    elif on == ANY_RESOURCES:
         link = solve_link(set_up(satellite, reference, asked), asked)
     else:
         large = f"Parquet tables of {FROM_ROWS:,} quasars or more without a reference, missions or where"
