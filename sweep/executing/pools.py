@@ -41,9 +41,6 @@ POOLS: Mapping[PoolName, Pool] = {
 }
 DEFAULT_POOL: PoolName = "processes"
 
-# The workers of a scheduler, a cluster or a client, and local ones with a dashboard.
-DASK = "linksweep.sweep.executing.clusters:dask_workers"
-
 
 @dataclass(frozen=True)
 class Place:
@@ -67,9 +64,6 @@ class Limits:
 
     time_s: float | None = None
     memory: int | None = None
-
-    def __bool__(self) -> bool:
-        return self.time_s is not None or self.memory is not None
 
 
 NO_LIMITS = Limits()
@@ -135,10 +129,10 @@ class Resources:
     def open(self, reference: str, say: Callable[[str], None]) -> Any:
         """Return what the opener of the pool does, for an experiment with this reference."""
         if (self.scheduler, self.cluster, self.client, self.dashboard) != (None, None, None, False):
-            return resolve_name(DASK)(reference, self, say)
+            return resolve_name("linksweep.sweep.executing.clusters:dask_workers")(reference, self, say)
         pool = POOLS[self.pool or DEFAULT_POOL]
         workers = (self.workers or available_cores()) if pool.has_workers else 1
-        if self.limits:  # a process that reaches them is ended: not this one
+        if self.limits != NO_LIMITS:  # a process that reaches them is ended: not this one
             return resolve_name(POOLS["processes"].opener)(reference, workers, self.limits)
         return resolve_name(pool.opener)(reference, workers)
 
