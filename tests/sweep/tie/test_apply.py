@@ -135,8 +135,7 @@ def test_correlations_without_a_column_are_named_and_motions_without_errors_turn
 def test_right_ascensions_stay_in_the_range_of_the_table(tmp_path, turn, low):
     link = linked(tmp_path, [0.0, 0.0, turn * MAS], np.zeros(3))
     mine = gaia_table(stars(6, 2))
-    ra = low + np.array([1e-9, 180.0 - 1e-9, 180.0, 180.0 + 1e-9, 350.0, 360.0 - 1e-9])
-    mine["ra"] = ra
+    mine["ra"] = ra = low + np.array([1e-9, 180.0 - 1e-9, 180.0, 180.0 + 1e-9, 350.0, 360.0 - 1e-9])
     moved = linksweep.apply(link, mine)["ra"]
     assert np.all((moved >= low) & (moved <= low + 360.0))
     np.testing.assert_allclose((moved - ra + 180.0) % 360.0 - 180.0, turn / 3.6e6, atol=1e-12)
