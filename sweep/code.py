@@ -132,6 +132,7 @@ _codes: dict[tuple[str, str | None], "LocalFiles | Live"] = {}
 _places: dict[str, str] = {}
 
 unparsed = lru_cache(maxsize=4096)(ast.unparse)
+_warn = cache(logging.getLogger("linksweep").warning)  # a process says it once
 
 
 def without_package(text: str) -> str:
@@ -220,7 +221,7 @@ class Reach:
         self.folders: set[tuple[str, str]] = {*first.folders} if first else set()
         # Paths that stand in the source: these are the same in a copy.
         self.written: set[str] = {*first.written} if first else set()
-        self._called: set[str] = set()
+        self._called: set[str] = {*first._called} if first else set()
         self._changes: list[tuple[str, set[str]]] = []
         self.places: dict[str, str] = {}
         self.unnoticed: dict[str, str] = {}
@@ -283,9 +284,9 @@ class Reach:
             self.places[f"value {label}"] = f"{around['__file__']}, line {statements[0].lineno}"
             text = without_package("".join(map(unparsed, statements)))
             self.statements[without_package(f"{STATEMENT}{label}")] = digest_of(text)
-        self._value, self._is_hiding = label, False
-        self._is_partial = not self._changed.isdisjoint((name, label))
-        text = "" if self._is_partial else self._form(value, {})
+        is_changed = not self._changed.isdisjoint((name, label))
+        self._value, self._is_hiding, self._is_partial = label, False, is_changed or f"{name}." in self._changed
+        text = "" if is_changed else self._form(value, {})
         begins = self._text(statements, around) if self._is_partial or self._is_hiding else ""
         if self._is_partial and names is not None and not begins:  # as in a notebook
             self.unnoticed[label] = label_of(type(value))
@@ -384,7 +385,7 @@ class Reach:
         function, args, state, items, pairs = (*reduced, None, None, None)[:5]
         states = state if isinstance(state, tuple) else (state,)  # __dict__ and slots
         if not is_other:  # also before the first call
-            self._is_partial |= not self._changed.isdisjoint(_set_by(kind))  # type: ignore[arg-type]
+            self._is_partial |= not self._changed.isdisjoint(f"{base.__name__}." for base in kind.__mro__)
             pickling = [getattr(kind, name) for name in ("__getstate__", "__reduce__", "__reduce_ex__")]
             users = [one for one in pickling if type(one) is FunctionType and distributions_of(one.__module__) is None]
             self._is_hiding |= bool(reduce or users)
@@ -427,13 +428,9 @@ class Reach:
             if _is_act(one, vars(module)):
                 acts.append(one)
                 self.acting += [name] if self.acting[-1:] != [name] else []
-        self._follow(self._acts, acts, name)
-
-    def _acts(self, acts: list[Any], module: str) -> None:
-        names = vars(self.modules[module])
         for one in (one for one in acts if isinstance(one, DEFINITIONS)):  # so that a message can name it
-            self._code(names.get(one.name))
-        self._keep(f"module {module}", self._text(acts, names))
+            self._code(vars(module).get(one.name))
+        self._keep(f"module {name}", self._text(acts, vars(module)))
 
     def _whole(self, module: ModuleType) -> None:
         for name, value in sorted(vars(module).items()):
@@ -475,16 +472,25 @@ class Reach:
             ran, owner = inside.difference(*map(_at_import, nodes)), function.__qualname__.split(".")[-2:][0]
             calls = [unparsed(one.func).rpartition(".")[2] for one in ran if isinstance(one, ast.Call)]
             self._called |= _all_names(code) | {f"{owner if re.match(ITSELF, one) else one}()" for one in calls}
+            if self._is_running and "__subclasses__" in code.co_names:  # also those of the classes before
+                self._todo += [one for one in self._todo if one[1] == self._class]
             if (name := function.__name__) not in MAKING_CLASSES:
                 imported = {node.name for node in inside if isinstance(node, ast.alias)}
                 others = imported.union(_names_in((*nodes,), code), code.co_freevars)
-                changes = {one for node in inside if isinstance(node, ast.Global | ast.Nonlocal) for one in node.names}
+
+                def home(one: str) -> str:
+                    return home_of(one, names, names.get(one))[0]
+
+                bound = (one for node in inside if isinstance(node, ast.Global | ast.Nonlocal) for one in node.names)
+                changes = {*map(home, bound)}
                 for one in _changed(inside):  # what makes an object changes only those of others, and its class
-                    is_set = "." in one and (name not in MAKING or re.match(ITSELF, one.removeprefix("self.")))
-                    is_other = is_set or one.partition(".")[0] in others  # else perhaps what a parameter is by default
-                    changes.add(one.rpartition(".")[2] if is_other else f"{label}.{one}")
-                homes = {home_of(one, names, names.get(one))[0] for one in changes}
-                self._changes.append((f"{owner}()" if name in MAKING else name, homes))
+                    root, is_set = one.partition(".")[0], "." in one
+                    is_set &= name not in MAKING or bool(re.match(ITSELF, one.removeprefix("self.")))
+                    is_other = is_set or root in others  # else perhaps what a parameter is by default
+                    changes.add(home(one.rpartition(".")[2]) if is_other else f"{label}.{one}")
+                    if is_set and root in (*code.co_varnames[:1], *others):  # also before it has the attribute
+                        changes.add(f"{owner if root in code.co_varnames[:1] else home(root)}.")
+                self._changes.append((f"{owner}()" if name in MAKING else name, changes))
         elif not function.__name__.startswith("__"):  # what dataclasses make is in their class already
             self.unnoticed[self._through or label] = "function without source"
             literals = [one for inner in _inside(code) for one in inner.co_consts if type(one) in (*PLAIN, tuple)]
@@ -496,7 +502,8 @@ class Reach:
     def _class(self, cls: type) -> None:
         """Add the statements of a class, and all that it has now."""
         label, names = self._label(cls), getattr(sys.modules.get(cls.__module__), "__dict__", {})
-        text = str([self._code(one) for one in (*cls.__mro__[1:], type(cls))])
+        below = type.__subclasses__(cls) if "__subclasses__" in self._called else list[type]()
+        text = str([self._code(one) for one in (*cls.__mro__[1:], type(cls), *below)])
         # Methods count as functions, so that a message can name them; all else as it is now, also if it was set later.
         file = names.get("__file__") or ""
         for name, value in sorted(vars(cls).items()):  # in an order that does not depend on that of definitions
@@ -541,8 +548,6 @@ class Reach:
                 self._follow(self._whole, sys.modules[names["__name__"]])
             if first not in wanted:
                 continue
-            if isinstance(value, type) and path[:1] == ["__subclasses__"]:
-                value = [value, *type.__subclasses__(value)]
             stands = self._named(name, home, value)
             text += f" {whole} {stands}" if stands else ""
         return text
@@ -600,15 +605,6 @@ def _closure(function: FunctionType) -> dict[str, Any]:
     return {name: cell.cell_contents for name, cell in cells if cell != CellType()}  # this one is not filled yet
 
 
-@lru_cache(maxsize=256)
-def _set_by(kind: type) -> set[str]:
-    """Return the names of attributes that methods of a class change of their object."""
-    every = [one for base in kind.__mro__ for one in vars(base).values() if type(one) in (FunctionType, *DESCRIPTORS)]
-    methods = {one for each in every for name in WRAPPED if isinstance(one := getattr(each, name, each), FunctionType)}
-    nodes = [(one.__code__.co_varnames[:1], node) for one in methods for node in definitions_of(one)]
-    return {s.rpartition(".")[2] for me, node in nodes for s in _changed(ast.walk(node)) if s.partition(".")[0] in me}
-
-
 def _contents(value: Any, depth: int = 4) -> str:
     """Return what tells a value from others: functions by what is in their closures, objects by their attributes."""
     inside = _closure(value) if type(value) is FunctionType else getattr(value, "__dict__", {})
@@ -659,10 +655,8 @@ def definitions_of(function: FunctionType) -> Sequence[Function]:
                 raise SweepError(why, code.co_filename)
             line = line if line in lines else lines[0]  # a notebook that reloads compiles a function by itself
     nodes = _index(tree_of(code.co_filename, names))[line, code.co_name]
-    if len(nodes) == 1:
-        return nodes
     places = {*code.co_positions()}  # the whole of a lambda is often that of its last operation
-    return [one for one in nodes if _place_of(one.body) in places] or nodes
+    return [one for one in nodes if isinstance(one, ast.Lambda) and _place_of(one.body) in places] or nodes
 
 
 @lru_cache(maxsize=64)
@@ -1190,11 +1184,6 @@ def _read_by(value: Any) -> dict[str, Path]:
     if missing := [name for name, file in files.items() if not file.is_file()]:
         raise SweepError(f"reads: {shown(missing[0])} is no file in {folder}", label_of(value))
     return files
-
-
-@cache  # a process says it once
-def _warn(sentence: str) -> None:
-    logging.getLogger("linksweep").warning("%s", sentence)
 
 
 def _digest(parts: Mapping[str, str]) -> str:

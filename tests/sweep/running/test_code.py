@@ -51,8 +51,8 @@ class B:
     def first(self): self.t = 0.0; return C().n * self.t
 class B2: z = 1.0
 class C(B): k = 1.0
-c, K, ALL, W, P = C(), 1.0, {"a": max}, np.zeros(1), make_dataclass("P", "ab")
-def g(x, *, s=1.0): return s * x + len(W.fill(x) or "") + P(0, 1).a
+c, d, K, ALL, W, P = C(), B2(), 1.0, {"a": max}, np.zeros(1), make_dataclass("P", "ab")
+def g(x, *, s=1.0): d.late = x; return s * x + len(W.fill(x) or "") + P(0, 1).a
 def f(x: float): return g(x) * K * c.k * C.k + len(ALL) + ALL["a"]([0.0]) * 0 + getattr(c, "z", 0.0) + c.first
 """
 NAMED = {"h.K = 4.0": "value h.K", "h.c.k = 4.0": "value h.c", "h.C.k = 4.0": "value h.C.k ("}
