@@ -535,7 +535,11 @@ class Reach:
         text = "".join(map(unparsed, nodes))
         # _C__k, which is __k in the class C
         private = {name for name in _all_names(code) if re.match("_[^_].*__", name)}
-        wanted = {n for n in (*bound, *private, *_names_in((*nodes,), code)) if n in bound or n in names}
+        # Of a decorator what it has made is followed; what a library keeps of a number in an object is not known.
+        is_inner = code is None or "<" in code.co_qualname  # whose decorators have names of what is around it
+        decorators = [one for node in nodes for one in getattr(node, "decorator_list", ()) if not is_inner]
+        numbers = {n for one in decorators for n in _chains(one) if type(names.get(n)) in PLAIN and n in names}
+        wanted = numbers | {n for n in (*bound, *private, *_names_in((*nodes,), code)) if n in bound or n in names}
         scope = ChainMap(bound, names, vars(builtins), {"sys": sys})  # which it may import inside
         for whole in sorted(private.union(*map(_chains, nodes))):
             first, *path = whole.split(".")
