@@ -45,7 +45,6 @@ def field_covariance(errors, catalogue):
 
 @pytest.mark.parametrize("length", [12.0, 40.0, 180.0])
 def test_zonal_errors_are_correlated_by_distance_alone(length):
-    """Two components at two places, turned to the arc between them: the kernel on the diagonal, nothing beside it."""
     errors, catalogue = ZonalErrors(1.0, 1.0, np.radians(length)), sky(12)
     degrees = np.arange(2, len(errors.power) + 1)  # the Gaussian on the sphere, C_l ~ exp(-l (l + 1) L^2/2)
     np.testing.assert_allclose(np.diff(np.log(errors.power)), -degrees * np.radians(length) ** 2, rtol=1e-9)

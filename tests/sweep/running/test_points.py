@@ -152,6 +152,8 @@ def test_labels_are_coordinates_along_points_and_change_no_number(tmp_path, form
         assert found_there.star.dims == found_there.hd.dims == (POINT,)
         assert found_there.star.values.tolist() == ["Sirius", "", "Vega"]
         assert found_there.hd.values.tolist() == STARS["hd"]
+    numbered = run(noisy, tmp_path / "n.zarr", pd.DataFrame({"x": [1.0, 2.0]}, index=[7, 9]))
+    assert numbered["index"].values.tolist() == [7, 9]
 
 
 def test_a_name_of_digits_in_a_file_stays_what_is_written(tmp_path):

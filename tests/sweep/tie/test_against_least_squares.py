@@ -304,7 +304,6 @@ def test_jitter_is_what_one_would_add_by_hand(tmp_path, some):
 
 @pytest.mark.parametrize("errors", ["formal", "jackknife"])
 def test_powers_are_the_integrals_of_their_fields_over_the_sky(tmp_path, errors):
-    """By quadrature that is exact for these degrees; the noise is the average power of the errors alone."""
     ours = stars(150, 3, pm=0.1)
     path = gaia(tmp_path / "quasars.ecsv", ours)
     link = linksweep.tie(path, "zero-motion", "spin", degree=3, errors=errors, accept_misfit=True)
