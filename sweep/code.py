@@ -477,20 +477,17 @@ class Reach:
             if (name := function.__name__) not in MAKING_CLASSES:
                 imported = {node.name for node in inside if isinstance(node, ast.alias)}
                 others = imported.union(_names_in((*nodes,), code), code.co_freevars)
-
-                def home(one: str) -> str:
-                    return home_of(one, names, names.get(one))[0]
-
-                bound = (one for node in inside if isinstance(node, ast.Global | ast.Nonlocal) for one in node.names)
-                changes = {*map(home, bound)}
+                scopes = [node for node in inside if isinstance(node, ast.Global | ast.Nonlocal)]
+                changes = {(one, "") for node in scopes for one in node.names}
                 for one in _changed(inside):  # what makes an object changes only those of others, and its class
                     root, is_set = one.partition(".")[0], "." in one
                     is_set &= name not in MAKING or bool(re.match(ITSELF, one.removeprefix("self.")))
                     is_other = is_set or root in others  # else perhaps what a parameter is by default
-                    changes.add(home(one.rpartition(".")[2]) if is_other else f"{label}.{one}")
+                    changes.add((one.rpartition(".")[2] if is_other else f"{label}.{one}", ""))
                     if is_set and root in (*code.co_varnames[:1], *others):  # also before it has the attribute
-                        changes.add(f"{owner if root in code.co_varnames[:1] else home(root)}.")
-                self._changes.append((f"{owner}()" if name in MAKING else name, changes))
+                        changes.add((owner if root in code.co_varnames[:1] else root, "."))
+                homes = {home_of(one, names, names.get(one))[0] + end for one, end in changes}
+                self._changes.append((f"{owner}()" if name in MAKING else name, homes))
         elif not function.__name__.startswith("__"):  # what dataclasses make is in their class already
             self.unnoticed[self._through or label] = "function without source"
             literals = [one for inner in _inside(code) for one in inner.co_consts if type(one) in (*PLAIN, tuple)]
