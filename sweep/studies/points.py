@@ -750,15 +750,19 @@ def labelled(value: Any, label: str = "", otherwise: str = "") -> Named:
 
     Raises ValueError for an object without a canonical form, and as `label_of`.
 
-    >>> labelled((1, "a")).name, labelled(Path("a/b")).name, labelled(math.sqrt).name
-    ("(1, 'a')", 'a/b', 'sqrt')
+    >>> labelled((1, "a")).name, labelled(Path("a/b")).name, labelled(math.sqrt).name, labelled({*"cdab"}).name
+    ("(1, 'a')", 'a/b', 'sqrt', "{'a', 'b', 'c', 'd'}")
     """
     reach = reach_of({"value": value})
     if reach.unnoticed:
         raise ValueError(f"{shown(value)} has no canonical form, so that it cannot be told from others")
     if not label:
         is_text = isinstance(value, PurePath | datetime.date | datetime.time | np.datetime64) or is_quantity(value)
-        label = label_of(value, str(value) if is_text else repr(value), otherwise)
+        printed = str(value) if is_text else repr(value)
+        if isinstance(value, set | frozenset) and "{" in printed:  # in an order that is the same in all processes
+            inside = ", ".join(sorted(map(repr, value)))
+            printed = f"{printed.partition('{')[0]}{{{inside}}}{printed.rpartition('}')[2]}"
+        label = label_of(value, printed, otherwise)
     named = Named(str(label), json.dumps(reach.parts, sort_keys=True), value)
     OBJECTS[named.identity] = named
     return named
