@@ -21,7 +21,6 @@ weights of the four observables gives all blocks that proper motions do not ente
 products.
 """
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -419,7 +418,7 @@ class NoisyDesign:
 
     def __init__(self, setup: Setup) -> None:
         catalogue = setup.catalogue
-        self.setup, self.catalogues = setup, math.prod(setup.stack)
+        self.setup, self.catalogues = setup, int(np.prod(setup.stack))
 
         def each(objects: Array) -> Array:
             return objects.reshape(self.catalogues, setup.n_obj, *objects.shape[1:])

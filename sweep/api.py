@@ -2,7 +2,6 @@
 
 import base64
 import io
-import logging
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -30,8 +29,6 @@ from linksweep.sweep.studies.study import Study
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-log = logging.getLogger("linksweep")
 
 
 def run(
@@ -149,7 +146,7 @@ def run(
     with _watching(loaded, progress) as watcher:
         dataset, failures = run_study(loaded, place, resources, watcher, accept_code, max_failures, beside)
     if failures:
-        log.warning("%s: %s", place, harmless(watching.failed_points(failures)))
+        watching.SENTENCES.warning("%s: %s", place, harmless(watching.failed_points(failures)))
     if verify and (differing := verified(loaded, place, verify)[1]):
         raise SweepError(differing, str(place))
     return _drawable(dataset.to_xarray())

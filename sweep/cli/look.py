@@ -200,6 +200,13 @@ def plot(
         cli.wrote(written)
 
 
+def paper_studies(published: bool) -> "list[linksweep.Study]":
+    """Return the built-in studies in the order of the paper, or those that have ``published`` numbers or claims."""
+    names = [name for name, text in _built_in().items() if not published or {"published", "claim"} & text.keys()]
+    others = sorted(set(names).difference(PAPER_ORDER))
+    return [linksweep.load_study(name) for name in (*PAPER_ORDER, *others) if name in names]
+
+
 @dataclass(frozen=True)
 class AskedStores:
     """The stores that a command is about: those that it names, or with --all those of the whole paper."""
@@ -219,8 +226,8 @@ class AskedStores:
             raise click.UsageError("--results, what to run on and how to watch it go with --all: nothing runs without")
 
     def whole(self, published: bool = False) -> "Sequence[Location]":
-        """Return the stores; with --all, first run the studies: all, or those with something published, in the order
-        of the paper.  One that is finished takes no time.
+        """Return the stores; with --all, first run the studies: all, or those with something published.  One that is
+        finished takes no time.
 
         Raises SweepError, before anything runs, for a study whose store cannot be continued.
         """
@@ -229,9 +236,8 @@ class AskedStores:
         from linksweep.sweep.running.run import plan_study
         from linksweep.sweep.stores.location import RESULTS, located
 
-        names = [name for name, text in _built_in().items() if not published or {"published", "claim"} & text.keys()]
-        places, others = [], sorted(set(names).difference(PAPER_ORDER))
-        for study in (linksweep.load_study(name) for name in (*PAPER_ORDER, *others) if name in names):
+        places = []
+        for study in paper_studies(published):
             store = located((self.results or RESULTS) / f"{study.name}.zarr")
             # All stores are looked at before the first study runs: an hour later is late for a refusal.
             try:
@@ -424,14 +430,15 @@ def watch(
         raise click.UsageError("name a store")
     try:
         with watched():
-            if web:
-                _pages().serve(stores, interval, lambda address: click.echo(f"{address}\nCtrl-C ends it", err=True))
-            else:
-                _in_the_terminal(stores, interval)
+            _on_a_page(stores, interval) if web else _in_the_terminal(stores, interval)
     except RunInterruptedError as stop:
         # Ctrl-C is how one stops watching; any other signal came from elsewhere.
         if stop.signal != signal.SIGINT:
             raise
+
+
+def _on_a_page(stores: "Iterable[Location]", interval: float) -> None:
+    _pages().serve(stores, interval, lambda address: click.echo(f"{address}\nCtrl-C ends it", err=True))
 
 
 def _in_the_terminal(stores: "Iterable[Location]", interval: float) -> None:

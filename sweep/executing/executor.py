@@ -22,7 +22,6 @@ from dataclasses import replace
 from functools import partial
 from itertools import count, islice
 from multiprocessing.connection import Connection, wait
-from multiprocessing.dummy import DummyProcess
 from pickle import UnpicklingError
 from queue import SimpleQueue
 from typing import IO, Any
@@ -235,7 +234,7 @@ def _may_be_forked() -> bool:
     known = any(name in sys.modules for name in NOT_TO_BE_FORKED)
     threads = {*threading.enumerate()} - {threading.main_thread(), threading.current_thread()}
     pooled = any(
-        isinstance(thread, DummyProcess)
+        type(thread).__module__ == "multiprocessing.dummy"  # of a ThreadPool; others have not imported it
         or thread.name == "IO loop"  # of Dask's clients
         # A copy makes those of Zarr anew, and sets no timers.
         or not (thread.daemon or thread.name.startswith("asyncio_") or isinstance(thread, threading.Timer))
@@ -421,9 +420,7 @@ def _end_with(number: int) -> None:
 
 
 def _serve(channel: Connection, words: IO[bytes]) -> None:
-    """Compute the tasks that come by a channel.  Answer with lists of results, at once with each unit of one that is to
-    be ``careful``, and with None at the end of each task.
-    """
+    """Compute the tasks that come by a channel, and answer with results, and None at the end of each task."""
     import faulthandler
 
     worker.leave_signals_to_parent()
@@ -439,15 +436,21 @@ def _serve(channel: Connection, words: IO[bytes]) -> None:
     deadlines = worker.Deadlines()
     with threadpool_limits(1), suppress(EOFError):
         while (message := channel.recv()) is not None:
-            task, careful = message
-            ready, sent = list[TaskResult](), time.monotonic()
-            for result in worker.run_units(task, deadlines, apart=careful):
-                ready.append(result)
-                if careful or time.monotonic() > sent + SEND_EVERY_S:
-                    channel.send(ready)
-                    ready, sent = [], time.monotonic()
-            channel.send(ready)
+            for results in _results(deadlines, *message):
+                channel.send(results)
             channel.send(None)
+
+
+def _results(deadlines: worker.Deadlines, task: Task, careful: bool) -> Iterator[list[Any]]:
+    """Yield the results of a task: several at once, or if ``careful`` each unit as soon as it is done."""
+    ready, sent = list[TaskResult](), time.monotonic()
+    for result in worker.run_units(task, deadlines, apart=careful):
+        ready.append(result)
+        if careful or time.monotonic() > sent + SEND_EVERY_S:
+            yield ready
+            ready, sent = [], time.monotonic()
+    if ready:
+        yield ready
 
 
 Map = Callable[[Callable[..., Any], Iterable[tuple[Any, ...]]], Iterator[Any]]

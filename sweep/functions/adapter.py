@@ -489,8 +489,7 @@ class FunctionExperiment(Experiment):
 
     def as_record(self) -> dict[str, Any]:
         """Return what a store records of a plain function besides what it records of every experiment."""
-        parts = {name: [*map(vars, getattr(self.layout, name))] for name in ("fields", "coordinates")}
-        layout = {**parts, "drawn": self.layout.drawn} if self.layout.fields else None
+        layout = results.json_of_layout(self.layout) if self.layout.fields else None
         outputs = [asdict(replace(output, coords=None)) for output in self.declared]
         return {"function": {"rng": self.rng, "layout": layout, "outputs": outputs}}
 

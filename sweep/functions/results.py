@@ -120,6 +120,12 @@ class Layout:
 UNKNOWN = Layout()
 
 
+def json_of_layout(layout: Layout) -> dict[str, Any]:
+    """Return a layout as a dictionary, quickly for many values."""
+    parts = {"fields": [*map(vars, layout.fields)], "coordinates": [*map(vars, layout.coordinates)]}
+    return {**parts, "drawn": layout.drawn}
+
+
 def layout_of_json(document: Mapping[str, Any]) -> Layout:
     """Return the layout that was recorded as a dictionary; raises ValueError for one that is no layout."""
     from pydantic import TypeAdapter  # here: workers, which read no records, need not import it

@@ -468,8 +468,7 @@ class Pending:
                 yield from self._works(team, 0, 1)
                 if len(team[0]) > 1:
                     begun.append(team)
-                    kept = 8 * self._accumulator.reducer.samples_width * self._plan.grid.study.sampling.n_sim
-                    if len(begun) >= min(AT_ONCE, max(1, MOST_KEPT // max(1, kept))):
+                    if len(begun) >= self._most_begun():
                         is_last = False
                         break
             while begun:
@@ -478,6 +477,10 @@ class Pending:
                 done = 2 * done + 1
                 begun = [team for team in begun if len(team[0]) > done]
             yield from self._wanted(self._added)
+
+    def _most_begun(self) -> int:
+        sampling, width = self._plan.grid.study.sampling, self._accumulator.reducer.samples_width
+        return max(1, min(AT_ONCE, MOST_KEPT // max(1, 8 * width * sampling.n_sim)))
 
     def _teams(self) -> Iterator[Team]:
         """Yield points that draw the same random numbers together, all others alone."""

@@ -143,13 +143,7 @@ def _sources(places: Sequence[Where], trust: bool) -> list[_Source]:
         # A thousand parts of a study have one study, which may be large.
         meant = tuple(opened.attributes.get(key) for key in ("study_document", "study_meaning", RECORD))
         if meant not in studies:
-            record = json.loads(opened.attributes.get(RECORD, "{}"))
-            layout = layout_of_record(record)
-            if "function" in record:
-                whole = PART in opened.attributes and layout is not None
-                studies[meant] = recorded_study(opened.attributes, str(location), whole=whole), layout
-            else:
-                studies[meant] = study_of(opened, trust=trust), layout
+            studies[meant] = _study_in(opened, trust)
         sources.append(_source(opened, *studies[meant]))
     if not sources:
         raise SweepError(why, ", ".join(map(str, places[:3])))
@@ -176,6 +170,15 @@ def _merged_before(place: Location, first: _Source, accept_code: bool) -> list[_
     if problems := _differences(merged, first, accept_code):
         raise SweepError([f"cannot take {first.location}: these differ", *problems], str(place))
     return [merged]
+
+
+def _study_in(opened: OpenStore, trust: bool) -> tuple[Study, Layout | None]:
+    attributes = opened.attributes
+    record = json.loads(attributes.get(RECORD, "{}"))
+    layout = layout_of_record(record)
+    if "function" in record:
+        return recorded_study(attributes, str(opened.location), whole=PART in attributes and layout is not None), layout
+    return study_of(opened, trust=trust), layout
 
 
 def _require_alike(sources: Sequence[_Source], accept_code: bool) -> None:

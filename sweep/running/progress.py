@@ -427,14 +427,7 @@ class TerminalProgress(Progress):
         if self._begun is not None:
             further = f"; next: {', '.join(commands)}" if commands and not failures else ""
             if self._done.blocks:
-                failed, elapsed = self._count.reasons.points, self._elapsed()
-                realisations = "" if self._once else f" and {counted(self._done.realisations, 'realisation')}"
-                took = f"{elapsed:.2g} s" if elapsed < 10.0 else in_words(elapsed)
-                self.say(
-                    f"{counted(self._done.points - failed, 'point')}{realisations}"
-                    f"{f' done, {failed:,} failed,' if failed else ''} in {took}: "
-                    f"{self._speed(elapsed)}, {self._busy:,.1f} s of work by all workers together"
-                )
+                self.say(self._summary(self._elapsed()))
             self.say(f"wrote {str(store).translate(ESCAPED)}{further}")
             warned = self._warned.most()
             for times, place, text in warned[:NAMED]:
@@ -449,6 +442,17 @@ class TerminalProgress(Progress):
                 f"`sweep status {name}` says why, `sweep run --retry {name}` tries them again, "
                 f"`sweep reproduce {name} --at POINT` runs one here"
             )
+
+    def _summary(self, elapsed: float) -> str:
+        """Return what there is to say at the end of a run that took ``elapsed`` seconds."""
+        failed = self._count.reasons.points
+        realisations = "" if self._once else f" and {counted(self._done.realisations, 'realisation')}"
+        took = f"{elapsed:.2g} s" if elapsed < 10.0 else in_words(elapsed)
+        return (
+            f"{counted(self._done.points - failed, 'point')}{realisations}"
+            f"{f' done, {failed:,} failed,' if failed else ''} in {took}: "
+            f"{self._speed(elapsed)}, {self._busy:,.1f} s of work by all workers together"
+        )
 
     def _elapsed(self) -> float:
         assert self._begun is not None, "a run starts before it is described"

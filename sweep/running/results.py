@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import FEWEST_SAMPLES, Array, Output, Parameter, Status, Sums
-from linksweep.sweep.contract.rows import LENGTH, MISSING_INT, REFERENCE, Block, absent, ledger_key
+from linksweep.sweep.contract import FEWEST_SAMPLES, Array, Output, Parameter, Rows, Status, Sums
+from linksweep.sweep.contract.rows import LENGTH, MISSING_INT, REFERENCE, Block, Reducer, absent, ledger_key
 from linksweep.sweep.formatting import ERRORS, RAGGED, TRUTH, described, short_meaning
 from linksweep.sweep.planning.accumulator import Accumulator
 from linksweep.sweep.planning.grid import NO_EFFECT, Grid
@@ -460,11 +460,8 @@ def _deviations(
             alone = [reducer.flat(ledger[[row[block] for block in one]]).sum(axis=0) for one in samples]
             without = reducer.typed(reducer.flat(total) - np.array(alone))
         else:
-            # All blocks but each in turn, added up from both ends.
-            parts = [ledger[place : place + 1] for place in row.values()]
-            ahead, behind = ([*accumulate(some, reducer.add)] for some in (parts, parts[::-1]))
-            between = (reducer.add(*both) for both in zip(ahead[:-2], behind[-3::-1], strict=True))
-            without = np.concatenate([behind[-2], *between, ahead[-2]])[[blocks.index(one[0]) for one in samples]]
+            without = _without_each(reducer, [ledger[place : place + 1] for place in row.values()])
+            without = without[[blocks.index(first) for first, *_ in samples]]
         results = reducer.finish(without, np.full(count, n - alone_n), np.full(count, float(max(n_cat - 1, 1))))
         draws = np.array([n, float(n_cat)]).reshape(2, 1)
         twice = reducer.finish(reducer.add(total, total), *draws * [[2.0], [min(n_cat, 2.0)]])
@@ -479,6 +476,13 @@ def _deviations(
             mine[point.index] = 0.0
             mine[point.index, :, :count] = scale * (values - values.mean(axis=1, keepdims=True))
     return {name: grid.with_repeats(mine) for name, mine in deviations.items()}
+
+
+def _without_each(reducer: Reducer, blocks: Sequence[Rows]) -> Rows:
+    """Return what all blocks but each in turn leave of a point together, (blocks,), added up from both ends."""
+    first, last = ([*accumulate(some, reducer.add)] for some in (blocks, blocks[::-1]))
+    between = (reducer.add(before, after) for before, after in zip(first[:-2], last[-3::-1], strict=True))
+    return np.concatenate([last[-2], *between, first[-2]])
 
 
 def _covariance(plan: Plan, deviations: Mapping[str, Array], output: Output, dimension: str, samples: int) -> Variable:

@@ -400,10 +400,7 @@ class Writer:
                 self.store.location.clear()  # as if nothing had been begun
         elif error is not None:
             with suppress(SweepError, OSError):  # the latter of Zarr, where no more files can be opened
-                with self._postponed():
-                    self.flush()
-                if not self._long_write:  # else the next run makes the dataset anew from the ledger
-                    self.write()
+                self.stop()
             self.require_whole(error.problems if isinstance(error, SweepError) else ())
 
     @property
@@ -554,6 +551,16 @@ class Writer:
         more = f" and {len(lost) - 1:,} more files" if len(lost) > 1 else ""
         sentence = f"{lost[0]}{more} of it went during the run; the results so far are in {rescued}"
         raise SweepError([*problems, sentence], str(place))
+
+    def stop(self) -> None:
+        """Make everything durable where a run ends early, and write the dataset once more unless that takes long.
+
+        Where it is not written, the dataset is an earlier one, and the next run makes it anew from the ledger.
+        """
+        with self._postponed():
+            self.flush()
+        if not self._long_write:
+            self.write()
 
     def flush(self) -> None:
         """Make everything taken so far durable; raises SweepError where that is not possible, or was not before."""
@@ -834,9 +841,7 @@ def plan_report(study: Study, store: Where, workers: int | None = None, accept_c
     row = experiment.reducer.dtype.itemsize
     cores = max(1, min(workers or available_cores(), available_cores(), math.ceil(pending.cost / TARGET)))
     realisations = {"realisations": survey.total.realisations, "realisations_pending": pending.realisations}
-    rng, buffer = np.random.Generator(np.random.SFC64(0)), np.empty(65536)
-    speed = 4 * buffer.size / timeit(lambda: rng.standard_normal(out=buffer), number=4)  # most of a realisation's cost
-    time_left = {"seconds": round(pending.cost / (speed * cores), 1), "cores": cores}
+    time_left = {"seconds": round(pending.cost / (_normals_per_second() * cores), 1), "cores": cores}
     return {
         "title": study.title,
         "grid": " x ".join(f"{name} {n}" for name, n in zip(grid.dimensions, grid.shape, strict=True)) or "one point",
@@ -850,6 +855,12 @@ def plan_report(study: Study, store: Where, workers: int | None = None, accept_c
         "store": str(store),
         "warnings": list(grid.warnings),
     }
+
+
+def _normals_per_second() -> float:
+    """Time a quarter of a million normals: what a realisation costs is nearly all random numbers."""
+    rng, buffer = np.random.Generator(np.random.SFC64(0)), np.empty(65536)
+    return 4 * buffer.size / timeit(lambda: rng.standard_normal(out=buffer), number=4)
 
 
 def run_study(
