@@ -141,7 +141,7 @@ def _sentences(part: xr.Dataset, variable: str, unit: str, decided: str | None) 
     if decided:
         yield decided
     elif not np.isin(status, [Status.MISSING, Status.FAILED]).any():
-        yield from _what_changes_it(axes, values, unit)
+        yield from _what_changes_it(axes, values, errors, unit)
     for words in quantity.unknown_parts(part, variable):
         sentence = words.removeprefix(f"{variable}: ")
         yield f"{sentence[0].upper()}{sentence[1:]}."
@@ -172,14 +172,19 @@ def _range(part: xr.Dataset, array: xr.DataArray, errors: Array, unit: str) -> s
     return f"It is between {number[0]} ({least}) and {number[1]} ({largest}), over {points}{doubt}."
 
 
-def _what_changes_it(axes: list[str], values: Array, unit: str) -> Iterator[str]:
-    """Yield by what a quantity changes at most along each axis, all else being equal: a factor where it is above 0."""
+def _what_changes_it(axes: list[str], values: Array, errors: Array, unit: str) -> Iterator[str]:
+    """Yield by what a quantity changes at most along each axis, all else being equal: a factor where it is above 0.
+
+    Axes along which no two values differ by more than their errors allow are not mentioned.
+    """
+    doubt = np.nan_to_num(ERRORS_ALLOWED * errors / np.sqrt(2.0))
     is_factor = np.nanmin(values) > 0.0
     change = np.divide if is_factor else np.subtract
     with np.errstate(over="ignore"):  # a change that is no float is not said
         span = np.nanmax(values) - np.nanmin(values)
         ends = {d: (np.fmax.reduce(values, i), np.fmin.reduce(values, i)) for i, d in enumerate(axes)}
-        changes = {d: np.nanmax(change(*both)) for d, both in ends.items()}
+        sure = {d: np.fmax.reduce(values - doubt, i) > np.fmin.reduce(values + doubt, i) for i, d in enumerate(axes)}
+        changes = {d: np.nanmax(change(*both)) for d, both in ends.items() if sure[d].any()}
     changes.pop(POINT, None)  # points differ in several parameters at once
     least = VISIBLE_FACTOR if is_factor else (VISIBLE_FACTOR - 1.0) * span
     order = sorted((d for d in changes if inf > changes[d] >= least and span > 0.0), key=lambda d: -changes[d])

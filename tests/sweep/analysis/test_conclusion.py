@@ -87,6 +87,8 @@ def test_without_a_conclusion_the_range_answers(tmp_path):
     assert "not known" in said(made(error=np.nan))[0]
     (answer,) = answers(made([[-1.0, 1.0], [-1.0, 1.001]]))  # model changes it by less than a hundredth of its range
     assert answer.sentences[1] == "What changes it: v_max by up to 2.00 mas/yr, all else being equal."
+    (answer,) = answers(made([[-1.0, 1.0], [-1.0, 1.001]], error=1.0))
+    assert len(answer.sentences) == 1  # two values that differ by 1.4 of the error of their difference
     with pytest.raises(linksweep.SweepError, match="the attribute 'conclusion' cannot be read"):
         linksweep.answer(made().assign_attrs(conclusion="{"))
     # words about what the study fixes are not said of something else
