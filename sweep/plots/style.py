@@ -417,7 +417,11 @@ def logarithmic(axes: Axes, which: str, values: Any) -> None:
 
 
 def name_ticks(axes: Axes, which: str, names: Sequence[str]) -> None:
-    """Put names at 0, 1, 2, ... of an axis: in lines that fit, or below it turned where no lines would."""
+    """Put names at 0, 1, 2, ... of an axis: in lines that fit, or below it turned where no lines would; only some of
+    more names than lines of text have room.
+    """
+    last, step = len(names) - 0.5, int(np.ceil(in_letters(1.0) * len(names) / panel_size(axes)[which == "y"]))
+    names = names[::step]
     # a report makes figures smaller, not their letters; beside an axis there is an inch
     room = 0.78 * panel_size(axes)[0] / len(names) if which == "x" else 1.1
     broken, look = [in_lines(name, room, 1) for name in names], dict[str, Any]()
@@ -429,8 +433,8 @@ def name_ticks(axes: Axes, which: str, names: Sequence[str]) -> None:
             below = in_letters(LETTER_WIDTH) * max(map(seen, names)) * np.sin(np.radians(turned))
             figure.set_figheight(figure.get_figheight() + below)
         broken, look = list(names), {"rotation": turned, "rotation_mode": "anchor", "ha": "right", "va": "center"}
-    getattr(axes, f"set_{which}ticks")(range(len(names)), broken, **look)
-    axes.set(**{f"{which}lim": (-0.5, len(names) - 0.5)})
+    getattr(axes, f"set_{which}ticks")(range(0, len(names) * step, step), broken, **look)
+    axes.set(**{f"{which}lim": (-0.5, last)})
 
 
 def draw_beside(axes: Axes, which: str, names: Sequence[str], parts: Mapping[str, tuple[Any, Any]]) -> None:
