@@ -39,6 +39,7 @@ FIRST = 20
 NARROW = 72
 
 NUMBER = re.compile(r"0x[0-9a-f]+|[-+]?(?:\d[\d_,]*\.?\d*|\.\d+)(?:e[-+]?\d+)?", re.IGNORECASE)
+TRUTH = re.compile(r"\b(?:True|False)\b")
 
 
 @dataclass(frozen=True)
@@ -189,12 +190,15 @@ def failed_points(failures: Mapping[str, str]) -> str:
 
 
 def in_common(place: str, message: str) -> str:
-    """Return what a reason has in common with that of other points: its line without numbers and its point's values.
+    """Return what a reason has in common with that of other points: its line without numbers, truth values and its
+    point's values.
 
     >>> in_common("sky=dark,x=1", "no root in dark for x = 0.25")
     'no root in ... for x = ...'
+    >>> in_common("b=False", "nan=True") == in_common("b=True", "nan=True")
+    True
     """
-    line = short(message)
+    line = TRUTH.sub("...", short(message))
     for value in {pair.partition("=")[2] for pair in place.split(",")}:
         if value and not NUMBER.fullmatch(value):
             line = re.sub(rf"(?<!\w){re.escape(value)}(?!\w)", "...", line)
