@@ -19,7 +19,7 @@ import xarray as xr
 import linksweep
 from linksweep.sweep.executing.clusters import cluster_class, own_cluster, read_cluster_file
 from tests.documents import ROOT, code, commands, run_commands, save_files
-from tests.sweep.executing.test_clusters import Files as TlsFiles
+from tests.sweep.executing.test_clusters import tls_files
 from tests.sweep.outside import Outside
 from tests.test_imports import FILES
 from tests.tiers import PATIENCE_S
@@ -183,9 +183,9 @@ def test_the_functions_of_the_readme_run(tmp_path, sweep):
 def test_the_commands_about_clusters_run(tmp_path, sweep):
     (tmp_path / "dask").mkdir()
     (tmp_path / "cluster.toml").write_text(code("clusters.md", "toml")[0])
-    files = TlsFiles(tmp_path / "tls")
-    here = {"ca.pem": files.files["ca"], "me.pem": files.files["cert"], "key.pem": files.files["key"]}
-    secured = Outside(tmp_path / "tls", *files.options("--tls-ca-file"), protocol="tls")
+    files = tls_files(tmp_path / "tls")
+    here = dict(zip(("ca.pem", "me.pem", "key.pem"), files[1::2], strict=True))
+    secured = Outside(tmp_path / "tls", "--tls-ca-file", *files[1:], protocol="tls")
     with closing(secured), closing(Outside(tmp_path / "dask")) as plain:
         for outside in (plain, secured):
             outside.start_worker()
