@@ -168,8 +168,7 @@ def test_a_range_a_floor_and_a_function_of_ones_own():
     assert mission(two).valid_mag == (10.0, 16.0)  # where both are known
     low = TABLE | {"floor_pm": TABLE["sigma_pm"][-1][1]}
     assert np.ptp(mission(low).sigma_pm_mas_yr(V)) == 0.0
-    floors = [TABLE, low, low | {"floor_pos": 0.1}, TABLE | {"floor_pos": 0.1}]
-    assert len({identity(one) for one in floors}) == 4
+    assert len({identity(one) for one in [TABLE, low, low | {"floor_pos": 0.1}, TABLE | {"floor_pos": 0.1}]}) == 4
     function = {"nominal_length": 1.0, "unit": "uas", "sigma_pm": "curves.py:power"}
     mixed, ratio = mission(function | {"sigma_pos": [[9, 50], [20, 80]]}), mission(function | {"position_ratio": 2.0})
     np.testing.assert_allclose(mixed.sigma_pm_mas_yr(V), 1e-3 * 10.0 ** (0.2 * (V - 15.0)), rtol=1e-14)

@@ -40,8 +40,7 @@ def test_a_covariance_is_that_of_the_dataset_and_of_the_points_that_are_left():
     error = 0.02 * N**-0.5
     pair = ("n", "n_other"), np.outer(error, error) * (0.8 + 0.2 * np.eye(5))
     shared = grid(N**-0.5, error, width_mc_covariance_n=pair)
-    law = fit_power_law(shared, "width", "n")
-    assert law.attrs["errors"] == "covariance between points"
+    assert fit_power_law(shared, "width", "n").attrs["errors"] == "covariance between points"
     status = np.array([[EXCLUDED] + [DONE] * 4, [EXCLUDED] * 5], dtype=np.int8)
     without = fit_power_law(shared.assign(status=(("model", "n"), status)), "width", "n", expected=-0.5)
     assert without["exponent"].values == pytest.approx([-0.5, np.nan], nan_ok=True)

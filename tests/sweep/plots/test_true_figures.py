@@ -303,5 +303,4 @@ def test_integers_of_a_map_have_ticks_at_integers():
         .expand_dims(k=range(1, 5))
         .assign(status=(("k", "x"), np.ones((4, 4), np.int8)))
     )
-    axes = linksweep.plot(ds, "map").axes[0]
-    assert not (axes.get_xticks() % 1.0).any()
+    assert not (linksweep.plot(ds, "map").axes[0].get_xticks() % 1.0).any()

@@ -234,8 +234,7 @@ def test_the_head_of_a_forecast_is_what_observing_brings(tmp_path, sweep):
 def test_what_a_command_writes_can_be_shown_and_reported(store_of, tmp_path, sweep, command):
     more = ("--set", "n_cat=1", "--set", "n_sim=2") if command[0] == "scaling" else (store_of("quasars"),)
     assert sweep(*command, *more, "-o", tmp_path / "m.zarr")[0] == 0
-    shown = sweep("show", tmp_path / "m.zarr", "--json")
-    assert shown[0] == 0
+    assert sweep("show", tmp_path / "m.zarr", "--json")[0] == 0
     assert sweep("report", tmp_path / "m.zarr", "-o", tmp_path / "m.html")[0] == 0
     [table] = tables_of((tmp_path / "m.html").read_text()).values()
     assert len(table) == 2

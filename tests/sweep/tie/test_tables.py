@@ -74,8 +74,7 @@ def test_rows_of_vlbi_in_hours_with_mjd_and_seconds_of_time_whose_errors_need_a_
     np.testing.assert_allclose(result.errors[:2, 0], np.array([0.15 * np.cos(0.5 * DEGREE), 0.2]) * MAS, rtol=1e-9)
     assert result.epoch[0] == pytest.approx(2016.0, abs=1e-3)
     assert list(kinds(result)) == ["single epoch"]
-    mean = read_table(tmp_path / "vlbi.ecsv", TableOptions(positions="mean")).astrometry
-    assert list(kinds(mean)) == ["position"]
+    assert list(kinds(read_table(tmp_path / "vlbi.ecsv", TableOptions(positions="mean")).astrometry)) == ["position"]
     (tmp_path / "t.csv").write_text("name,epoch,RA,Dec,e_RA,e_Dec\nA,2015.5,1 2 3.4,-5 6 7.8,0.1,0.2\n")
     with pytest.raises(SweepError, match="column 'RA' is sexagesimal, and 'e_RA' has no unit") as refused:
         read_table(tmp_path / "t.csv")
