@@ -148,7 +148,7 @@ def stored_table(where: Any) -> Result | None:
     import xarray as xr
 
     with reading(Folder(folder)):
-        Folder(folder).keys()
+        Folder(folder).require_plain()
     try:
         checked(Tables, root)
         with xr.open_zarr(folder, consolidated=True) as stored:

@@ -72,9 +72,9 @@ def released(
 
     For forecasts: the values stay the same, so only errors are meaningful.
     """
-    if new not in RELEASES:
+    if new == "table":
         return problem, "", []
-    old = release_of(problem.satellite.epoch, new, named if named in RELEASES else None)
+    old = release_of(problem.satellite.epoch, new, None if named == "table" else named)
     # T^-1/2 and T^-3/2 with the time T that observations span, as on ESA's Gaia science performance pages
     ratio = RELEASES[old].months / RELEASES[new].months
     position, motion = ratio**0.5, ratio**1.5

@@ -572,12 +572,14 @@ def named(what: str, values: object, known: Sequence[str], noun: str) -> list[st
 
 def setting_problem(one: "Parameter | Output | Experiment") -> str | None:
     """Return which text, truth value, number or unit of a declaration is none, None if all are."""
-    kinds: dict[Any, str] = {str: "a string", bool: "True or False", int: "an integer", float | int | None: "a number"}
-    kinds[Mapping[str, str]] = "a mapping of values to symbols"
+    kinds: dict[Any, tuple[Any, str]]
+    kinds = {str: (str, "a string"), bool: (bool, "True or False"), int: (int, "an integer")}
+    kinds |= {float | int | None: (float | int | None, "a number")}
+    kinds |= {Mapping[str, str]: (Mapping, "a mapping of values to symbols")}
     for each in fields(one):
-        value, kind = getattr(one, each.name), kinds.get(each.type)
-        if kind is not None and not isinstance(value, Mapping if each.name == "symbols" else each.type):  # type: ignore[arg-type]
-            return f"{each.name} = {shown(value)}: must be {kind}"
+        value, (kind, words) = getattr(one, each.name), kinds.get(each.type, (object, ""))
+        if not isinstance(value, kind):
+            return f"{each.name} = {shown(value)}: must be {words}"
     return unit_problem(getattr(one, "unit", ""))
 
 

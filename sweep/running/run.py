@@ -243,6 +243,9 @@ def again_where(store: Store, study: Study, condition: str) -> dict[bytes, Recor
     return again
 
 
+# Most failed points that a dataset names in its attributes; its status counts all.
+MAX_FAILURES_NAMED = 1000
+
 # What the record of a failure says of the block that failed, if one did: its group and its part.
 BLOCK = "block"
 
@@ -525,7 +528,7 @@ class Writer:
             "points": points,
             "points_done": done,
             "complete": int(points == done or self._has_its_part()),
-            "failures": json.dumps(self.failures(1000)),  # the status has all
+            "failures": json.dumps(self.failures(MAX_FAILURES_NAMED)),
             "warnings": json.dumps([*self.plan.grid.warnings, *warnings]),
         }
 

@@ -162,7 +162,7 @@ class Folder:
     def keys(self, under: str = "") -> list[str]:
         """Return the names of all finished files that begin with ``under``, a name with a slash at its end or empty.
 
-        Raises OSError where something inside is neither a file nor a folder.
+        Raises OSError as `require_plain`.
         """
 
         def unless_missing(error: OSError) -> None:
@@ -176,6 +176,10 @@ class Folder:
                 _refuse_special(os.path.join(folder, name), (relative / name).as_posix())
             keys += [_key((relative / name).as_posix()) for name in names if not name.endswith(UNFINISHED)]
         return sorted(keys)
+
+    def require_plain(self) -> None:
+        """Raise OSError where something inside is neither a file nor a folder."""
+        self.keys()
 
     def beside(self) -> list[str]:
         """Return the names of what is in the folder around it."""
@@ -386,6 +390,9 @@ class Bucket:
         """Return the names of all objects that begin with ``under``."""
         with self._request():
             return sorted(entry["path"] for page in self.objects.list(under or None) for entry in page)
+
+    def require_plain(self) -> None:
+        """Do nothing, since a bucket has no links."""
 
     def beside(self) -> list[str]:
         """Return the names of all prefixes beside this one."""

@@ -390,8 +390,7 @@ def find_root(location: Location) -> dict[str, Any] | None:
             content = location.get(ROOT)  # a run has perhaps just put it there
         try:
             root = integrity.unsealed(content, ROOT)
-            if isinstance(location, Folder):
-                location.keys()  # raises for what is neither file nor folder; what is not ours is not gone through
+            location.require_plain()  # what is not ours is not gone through
             _check_format(root["attributes"], where)
             integrity.checked(integrity.Root, root)
             return root
@@ -403,8 +402,9 @@ def find_root(location: Location) -> dict[str, Any] | None:
                 # The checksum of another format.
                 attributes = json.loads(content or b"")["attributes"]
                 if FORMAT_OF not in attributes:
-                    said = f"is a stored {attributes['result']}, without points and a ledger: see `sweep show`"
-                    raise SweepError(said.replace("stored tie", "stored link"), where) from error
+                    kind = {"tie": "link"}.get(attributes["result"], attributes["result"])
+                    said = f"is a stored {kind}, without points and a ledger: see `sweep show`"
+                    raise SweepError(said, where) from error
                 _check_format(attributes, where)
             ways = "bring one of these back from a backup, or give another store"
             whole = f"is not a store of linksweep, or its {ROOT} and the copy in {ledgers.FOLDER} are damaged: {ways}"
