@@ -418,10 +418,8 @@ def point_in(dataset: xr.Dataset, study: Study, places: Mapping[str, str], where
     """
     grid = Grid(study)
     number = np.arange(len(grid)).reshape(grid.shape)
-    try:
+    with refused(OutsideGridError, where=where):
         part = select(dataset[["status"]].assign(number=(tuple(grid.dimensions), number)), places)
-    except OutsideGridError as error:
-        raise SweepError(error.problems, where) from error
     dimensions = part["number"].dims
     there = part["status"].transpose(*dimensions).values != Status.EXCLUDED
     points = {point.digest: point for point in grid.points(part["number"].values[there])}

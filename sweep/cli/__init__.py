@@ -240,7 +240,7 @@ def part_of(store: "Location", at: At, excluded_too: bool = False, to_show: bool
     Raises SweepError where the study has no point in that part, unless ``excluded_too``.
     """
     from linksweep.sweep.analysis.quantity import ERROR_SUFFIXES, array_outputs, select, with_running
-    from linksweep.sweep.contract import Status
+    from linksweep.sweep.contract import Status, refused
     from linksweep.sweep.stores.store import OpenStore
     from linksweep.sweep.studies.reader import parse_places
 
@@ -249,7 +249,7 @@ def part_of(store: "Location", at: At, excluded_too: bool = False, to_show: bool
         yield link
         return
     dataset = with_running(OpenStore(store).dataset(to_show))
-    try:
+    with refused(linksweep.SweepError, where=store):  # what knows only datasets cannot name the store
         part = select(dataset, places)
         for name in set(array_outputs(dataset)) - set(array_outputs(part)):
             if not name.endswith(ERROR_SUFFIXES):
@@ -258,11 +258,6 @@ def part_of(store: "Location", at: At, excluded_too: bool = False, to_show: bool
         if at and not excluded_too and (part["status"].values == Status.EXCLUDED).all():
             raise linksweep.SweepError(f"--at {','.join(at)}: the study has no point there")
         yield part
-    except linksweep.SweepError as error:
-        if error.where:
-            raise
-        # What knows only datasets cannot name the store.
-        raise linksweep.SweepError(error.problems, str(store)) from error
 
 
 EXIT_FAILED_POINTS = 1

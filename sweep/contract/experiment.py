@@ -61,12 +61,14 @@ class SweepError(Exception):
 @contextmanager
 def refused(*errors: type[Exception], said: str = "", where: object = "", more: str = "") -> Iterator[None]:
     """Turn errors of some types into a SweepError about a place with their text, between what is ``said`` before it and
-    ``more`` after it.
+    ``more`` after it.  A SweepError keeps its problems apart, and the place that it is about if it names one.
     """
     try:
         yield
     except errors as error:
-        raise SweepError(f"{said}{getattr(error, 'strerror', None) or error}{more}", str(where)) from error
+        text = getattr(error, "strerror", None) or str(error) or type(error).__name__
+        problems, place = (error.problems, error.where) if isinstance(error, SweepError) else ([text], "")
+        raise SweepError([f"{said}{one}{more}" for one in problems], place or str(where)) from error
 
 
 def needed(package: str, extra: str, where: object = "") -> AbstractContextManager[None]:

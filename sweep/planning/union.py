@@ -74,12 +74,10 @@ def united(stored: Study, asked: Study, in_ledger: Collection[bytes] = (), *, is
     there = [(axes, theirs.rows[name][number]) for name, axes in theirs.dimensions.items() for number in kept[name]]
     for name, value in [pair for axes, row in there for pair in zip(axes, row, strict=True)] + list(was.items()):
         if isinstance(value, Named) and defined.get((name, value.name), value) != value:
-            raise SweepError(
-                f"{name}: {shown(value.name)} is another value than in the store, or its code has changed; give it "
-                "another name, or leave the earlier points out by --only (only=True)"
-            )
+            words = "is another value than in the store, or its code has changed; give it another name"
+            raise SweepError(f"{name}: {shown(value.name)} {words}")
     if gone := [name for name in stored.axes if name not in defaults]:
-        raise SweepError(f"the axis {gone[0]} of the store is no parameter any more; --only leaves its points out")
+        raise SweepError(f"the axis {gone[0]} of the store is no parameter any more")
     idle = theirs.idle(places)
     alike = {*stored.axes, *asked.axes, *idle}
     changed = [name for name in defaults if name not in alike and sorted_json(was[name]) != sorted_json(now[name])]

@@ -32,7 +32,7 @@ from matplotlib.figure import Figure
 
 from linksweep.sweep import formatting
 from linksweep.sweep.analysis import answer, compare, quantity, sensitivity, tables
-from linksweep.sweep.contract import Status, SweepError
+from linksweep.sweep.contract import Status, SweepError, refused
 from linksweep.sweep.planning.union import REFINED
 from linksweep.sweep.plots import KINDS, figure as drawing, style
 from linksweep.sweep.result import Result, open_result, write_at_once
@@ -288,12 +288,10 @@ def report_page(datasets: Sequence[tuple[str, xr.Dataset]]) -> str:
     """Return one HTML page about named datasets of results, the same for the same datasets."""
     sections, room = list[dict[str, Any]](), MOST_NUMBERS
     for number, (name, dataset) in enumerate(datasets):
-        try:
+        with refused(SweepError, where=name):
             result = Result(dataset)
             is_study = result.kind == "grid"
             one = section(name, dataset, number, room) if is_study else link_section(name, result, number)
-        except SweepError as error:
-            raise SweepError(error.problems, error.where or name) from error
         sections.append(one | {"about": dataset.attrs})
         room -= one.get("numbers", 0)
     explored = any(one["explorer"]["quantities"] for one in sections)

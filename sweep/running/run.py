@@ -183,11 +183,8 @@ def with_stored(store: Store, study: Study, only: bool = False) -> tuple[Study, 
     check_points(stored, study, where)
     digests = {key[:DIGEST_BYTES] for key in store.rows} | store.failures.keys()
     is_complete = bool(attributes.get("complete")) and attributes.get(BLOCKS) == len(store.rows)
-    try:
+    with refused(SweepError, where=where, more="; --only (only=True) leaves the earlier points out"):
         whole = united(stored, study, digests, is_whole=is_complete or "repaired" in attributes)
-    except SweepError as error:
-        hint = "; --only (only=True) leaves the earlier points out"
-        raise SweepError([f"{one}{'' if '--only' in one else hint}" for one in error.problems], where) from error
     if whole is study or "repaired" in attributes:  # then what was lost is computed again, whoever asked for it
         return study, whole, None
     grid = Grid(study)

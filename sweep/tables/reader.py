@@ -76,7 +76,8 @@ def read_table(path: Path, texts: Collection[str] = ()) -> Any:
     ``texts`` names are texts as they are written, missing where there is none.  Raises SweepError that names the file,
     and the row where there is one, for what cannot be read.
     """
-    try:
+    # the second of delimited text
+    with refused(SweepError, ValueError, where=path), refused(OSError, MemoryError, said="cannot be read: "):
         if path.is_char_device() or not path.exists():  # a device may have no end
             raise SweepError("is a device" if path.exists() else "no such file")
         content = path.read_bytes()
@@ -88,10 +89,6 @@ def read_table(path: Path, texts: Collection[str] = ()) -> Any:
                     column.unit = _unit(str(unit))
             _add_degrees(table)
         return table
-    except OSError as error:
-        raise SweepError(f"cannot be read: {error.strerror or error}", str(path)) from error
-    except (SweepError, ValueError, MemoryError) as error:  # the second of delimited text
-        raise SweepError(getattr(error, "problems", str(error) or "is too large for the memory"), str(path)) from error
 
 
 @contextmanager
