@@ -480,7 +480,8 @@ def located(where: Where) -> Location:
         return where
     address = str(where)
     if not isinstance(where, str | Path) or not address:
-        raise SweepError("cannot be a store: it must be a path, or a text like s3://BUCKET/NAME", address or "''")
+        rule = "it must be a path, or a text like s3://BUCKET/NAME; a dictionary of axes is axes={...}"
+        raise SweepError(f"cannot be a store: {rule}", address or "''")
     if address.startswith("s3:/"):
         # `Path` makes one slash of two.
         match = ADDRESS.fullmatch(address)
