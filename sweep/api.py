@@ -141,8 +141,7 @@ def run(
     place = store and located(store)  # before the study is loaded, whose code may change the working folder
     loaded = _study(study, options | {"points": points, "labels": labels, "exclude": exclude, "when": when})
     loaded, place = with_part(loaded, place or default_store(loaded.name), part)
-    file, workers = None if cluster is None else Path(cluster), plain_value(workers)
-    resources = Resources(workers, pool, scheduler, cluster=file, limits=limits, dashboard=dashboard, client=client)
+    resources = Resources(plain_value(workers), pool, scheduler, None, cluster, limits, dashboard, client)
     with _watching(loaded, progress) as watcher:
         dataset, failures = run_study(loaded, place, resources, watcher, accept_code, max_failures, beside)
     if failures:

@@ -11,7 +11,6 @@ import os
 import signal
 import tempfile
 import time
-import tomllib
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future as Fetching, ThreadPoolExecutor, wait
@@ -35,6 +34,7 @@ from linksweep.sweep.executing.pools import Limits, Place, Resources, available_
 from linksweep.sweep.executing.task import AnyJob, Executor, Failure, Identity, Task, TaskResult, other_versions
 from linksweep.sweep.executing.worker import Deadlines, compute, leave_signals_to_parent, set_environment
 from linksweep.sweep.planning.accumulator import TASK_S, TASKS_IN_FLIGHT, task_seconds
+from linksweep.sweep.studies.reader import parsed, read_text
 
 CONNECT_TIMEOUT_S = 10
 
@@ -87,7 +87,7 @@ def dask_workers(reference: str, resources: Resources, say: Callable[[str], None
             words = f"the Dask scheduler at {address}"
             client = stack.enter_context(client_at(address, tls(*resources.tls) if resources.tls else None))
         elif (path := resources.cluster) is not None:
-            file = read_cluster_file(path)
+            file = read_cluster_file(Path(path))
             words = f"the {file.class_name.rpartition('.')[2]} of {path}"
             client = stack.enter_context(_client_of(file, str(path)))
         else:
@@ -344,11 +344,9 @@ def read_cluster_file(path: Path) -> ClusterFile:
     """Return what a TOML or YAML file says about a cluster; raises SweepError with everything that is wrong in it."""
     import yaml
 
-    with refused(OSError, UnicodeDecodeError, said="cannot be read: ", where=path):
-        text = path.read_text(encoding="utf-8")
-    kind = "YAML" if path.suffix in (".yaml", ".yml") else "TOML"
-    with refused(tomllib.TOMLDecodeError, yaml.YAMLError, said=f"not valid {kind}: ", where=path):
-        document = yaml.safe_load(text) if kind == "YAML" else tomllib.loads(text)
+    text = read_text(path)
+    with refused(yaml.YAMLError, said="not valid YAML: ", where=path):
+        document = yaml.safe_load(text) if path.suffix in (".yaml", ".yml") else parsed(text, path)
     try:
         return ClusterFile.model_validate(document)
     except ValidationError as error:

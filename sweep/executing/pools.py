@@ -81,7 +81,7 @@ class Resources:
     pool: PoolName | None = None
     scheduler: str | None = None
     tls: tuple[Path, Path, Path] | None = None
-    cluster: Path | None = None
+    cluster: str | Path | None = None
     limits: Limits = NO_LIMITS
     dashboard: bool = False
     client: "Client | None" = None

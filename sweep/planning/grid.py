@@ -68,11 +68,10 @@ class Grid:
     def warnings(self) -> list[str]:
         """Sentences about conditions that no point meets and about a design, and what the experiment has ``said``."""
         study, asked, warnings = self.study, self.study.sections.get("when", {}), list[str]()
-        values = {name: (value,) for name, value in self._fixed.items()} | dict(study.axes)
         clauses = [("exclude", clause, False) for clause in study.excluded]
         clauses += [(f"when.{n}", one, n not in asked) for n, one in study.when.items() if n in {**study.axes, **asked}]
         for where, clause, is_declared in clauses:
-            unmet = filter(None, (one.unmet(values[one.name], is_declared) for one in clause))
+            unmet = filter(None, (one.unmet(study.values[one.name], is_declared) for one in clause))
             warnings.extend(f"{where}: {sentence}" for sentence in unmet)
         return [*warnings, *remarks({} if study.points is None else study.points.origin), *self.said]
 
@@ -218,16 +217,14 @@ class Grid:
         and its text at each place there, and at last where it is missing; empty where it is at its default.
         """
         dimension_of = {axis: dimension for dimension, axes in self.dimensions.items() for axis in axes}
-        defaults, axes = self.study.experiment.defaults(), self.study.axes
-        values = {name: [value] for name, value in self._fixed.items()} | {n: list(v) for n, v in axes.items()}
-        entries = []
-        for name in sorted(values):
+        defaults, entries = self.study.experiment.defaults(), []
+        for name, values in sorted(self.study.values.items()):
             key, default = json.dumps(name), defaults[name]
-            different = {(type(v), v) for v in values[name] if is_other(v, default)}
+            different = {(type(v), v) for v in values if is_other(v, default)}
             texts = {one: f"{key}: {sorted_json(one[1])}, ".encode() for one in different}
             if texts or name in self.study.when:
                 missing = [f"{key}: null, ".encode() if is_other(None, default) else b""]
-                along = [texts.get((type(v), v), b"") for v in values[name]] + missing * (name in self.study.when)
+                along = [texts.get((type(v), v), b"") for v in values] + missing * (name in self.study.when)
                 entries.append((name, dimension_of.get(name), along))
         return entries
 
@@ -282,9 +279,8 @@ def make_grid(study: Study) -> Grid:
     if divided := grid.divided:
         words = "shares a dimension, at some places of which only some points have its effect: give a table of points"
         raise SweepError([f"when.{name}: {name} {words}" for name in divided], study.source)
-    values = {name: (value,) for name, value in study.fixed.items()} | dict(study.axes)
     required = [one.name for one in study.experiment.parameters if not one.optional and one.default is not None]
-    may_lack = [name for name in required if name in study.when and None in values.get(name, ())]
+    may_lack = [name for name in required if name in study.when and None in study.values[name]]
     judged = PointCache(partial(_judged, study, may_lack), study.varying, most=1)
     reasons, warnings = Counter[str](), Counter[str]()
     idle: Mapping[str, str] | None = None  # fixed parameters that mattered at no point so far

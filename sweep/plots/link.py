@@ -172,8 +172,7 @@ def accuracy_curves(chosen: Sequence[str] = (), study: Study | None = None) -> x
     if study is not None:
         if study.experiment.name != "link":
             raise SweepError(f"only the link has missions; this is the experiment {study.experiment.name}")
-        whole = study.experiment.defaults() | dict(study.fixed)
-        known = {str(model): model for model in study.axes.get("model", (whole["model"],))}
+        known = {str(model): model for model in study.values["model"]}
     if unknown := [name for name in chosen if name not in known]:
         raise SweepError(f"no model {shown(unknown[0])}{suggest(unknown[0], list(known))}")
     v = np.round(np.linspace(9.0, 21.0, 121), 6)

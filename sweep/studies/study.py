@@ -839,14 +839,18 @@ class Study:
         """Whether the ledger holds realisations: the study or the experiment asks for them."""
         return self.sampling.keep_samples or self.experiment.keeps_samples
 
+    @cached_property
+    def values(self) -> dict[str, tuple[Value, ...]]:
+        """The values of each parameter: those along its axis, or the one that it has everywhere."""
+        constants = self.experiment.defaults() | dict(self.fixed)
+        return {name: (value,) for name, value in constants.items()} | dict(self.axes)
+
     @property
     def partial(self) -> list[str]:
         """The parameters that have no effect at some points."""
-        constants = self.experiment.defaults() | dict(self.fixed)
-        values = {name: (value,) for name, value in constants.items()} | dict(self.axes)
         partial: list[str] = []
         for name, conditions in self.when.items():
-            if any(c.name in partial or not all(map(c.holds, values.get(c.name, ()))) for c in conditions):
+            if any(c.name in partial or not all(map(c.holds, self.values.get(c.name, ()))) for c in conditions):
                 partial.append(name)
         return partial
 
@@ -883,13 +887,12 @@ class Study:
         names = () if self.points is None else self.points.names
         if {*names}.isdisjoint(self.partial):
             return self
-        constants, rows = self.experiment.defaults() | dict(self.fixed), []
-        values: dict[str, Sequence[Value]] = {name: [value] for name, value in constants.items()} | dict(self.axes)
+        rows = []
         for row in zip(*(self.axes[name] for name in names), strict=True):
-            there = values | {name: [value] for name, value in zip(names, row, strict=True)}
+            there = self.values | {name: (value,) for name, value in zip(names, row, strict=True)}
             for name, conditions in self.when.items():
                 if not all(any(map(one.holds, there[one.name])) for one in conditions):
-                    there[name] = []
+                    there[name] = ()
             rows.append([next(iter(there[name]), None) for name in names])
         return replace(self, axes={**self.axes, **dict(zip(names, zip(*rows, strict=True), strict=True))})
 

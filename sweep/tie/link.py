@@ -313,7 +313,6 @@ def tie(
         ('reference-satellite', ['mas', 'mas', 'mas'])
     """
     asked = Options.named(TIE, {"unknowns": unknowns, **options})
-    cluster = None if cluster is None else Path(cluster)
     on = resources or Resources(workers, None, scheduler, cluster=cluster, limits=limits)
     if in_row_groups(satellite, reference, asked):
         if ESTIMATE in asked.jitter:
