@@ -14,7 +14,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from linksweep.sweep.contract import SweepError
+from linksweep.sweep.contract import SweepError, refused
 from linksweep.sweep.stores.integrity import Tables, checked
 from linksweep.sweep.stores.location import Folder, reading
 from linksweep.sweep.table_writer import Table
@@ -149,9 +149,7 @@ def stored_table(where: Any) -> Result | None:
 
     with reading(Folder(folder)):
         Folder(folder).require_plain()
-    try:
+    with refused(Exception, said="is damaged: ", where=where):  # decoders of a damaged file may raise anything
         checked(Tables, root)
         with xr.open_zarr(folder, consolidated=True) as stored:
             return Result(stored.load())
-    except Exception as error:  # decoders of a damaged file may raise anything
-        raise SweepError(f"is damaged: {' '.join(str(error).split())}", str(where)) from error

@@ -24,7 +24,7 @@ from scipy.special import exprel  # scipy.stats takes longer to import than a sm
 
 from linksweep.sweep.analysis import quantity
 from linksweep.sweep.analysis.tables import STEP, derived
-from linksweep.sweep.contract import SweepError, factor_between, rescaled, shown, unit_problem
+from linksweep.sweep.contract import SweepError, factor_between, refused, rescaled, shown, unit_problem
 from linksweep.sweep.contract.rows import LENGTH, Array, Status, p_value, small_sample_factor
 from linksweep.sweep.formatting import LOGARITHMIC_UNITS, RAGGED, described, plain, units_of, with_error, with_unit
 from linksweep.sweep.studies.study import POINT
@@ -393,10 +393,8 @@ def _fitted(made: Lines, fit: Callable[..., dict[str, Any]], least: int = 2) -> 
             value, place = line.y[bad][0], made.at(line, line.x[bad][0])
             raise SweepError(f"{made.variable} must be above 0; it is {value:g}{place}")
         if n >= least:
-            try:
+            with refused(ValueError, more=f": {made.variable} over {made.over}{made.at(line)}"):
                 row |= (law := line.fitted(fit))
-            except ValueError as error:
-                raise SweepError(f"{error}: {made.variable} over {made.over}{made.at(line)}") from error
             row["p_value"] = p_value(law["chi2"], law["dof"], line.samples)
     return rows
 
@@ -458,8 +456,8 @@ def parse_limit(text: str) -> Limit:
     number = float(match["number"]) if match else math.nan
     if match is None or not math.isfinite(number):
         raise SweepError(f"{shown(text)}: {wanted}", "--where")
-    if unit_problem(unit := match["unit"] or ""):
-        raise SweepError(f"{shown(text)}: {shown(unit)} is not a unit that astropy knows", "--where")
+    if wrong := unit_problem(unit := match["unit"] or ""):
+        raise SweepError(f"{shown(text)}: {wrong}", "--where")
     return Limit(match["variable"], match["sign"], number, unit)
 
 

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import FEW, FEWEST_SAMPLES, Array, Status, SweepError, refused, shown, suggest
+from linksweep.sweep.contract import FEW, FEWEST_SAMPLES, RESERVED, Array, Status, SweepError, refused, shown, suggest
 from linksweep.sweep.contract.rows import LENGTH, count_status, small_sample_factor, unfinished_in_words
 from linksweep.sweep.formatting import ERRORS, RAGGED, first_of, is_missing, is_truth, plain, prefixed, units_of
 from linksweep.sweep.planning.grid import Grid, GridPoint
@@ -26,7 +26,6 @@ from linksweep.sweep.studies.study import LOST, POINT, POINT_TABLE, Claim, Study
 if TYPE_CHECKING:
     import xarray as xr
 
-BESIDES = ("status", "wall_time", "n_sim_done", "code")  # variables of every dataset that are not results
 
 # Outputs NAME_SUFFIX beside NAME are its one-sigma errors from Monte Carlo; those that exist add in quadrature.
 ERROR_SUFFIXES = ("mc_error", "catalogue_error")
@@ -60,7 +59,7 @@ def quantities(dataset: xr.Dataset) -> list[str]:
         raise SweepError("there is no variable status, which says at which points there are results: keep it")
     # integers and truth values are results only of a plain function
     axes, kinds = set(dataset["status"].dims), "fib" if FUNCTION in dataset.attrs else "f"
-    of_points = {str(n): v for n, v in dataset.data_vars.items() if str(n) not in BESIDES and axes <= set(v.dims)}
+    of_points = {str(n): v for n, v in dataset.data_vars.items() if str(n) not in RESERVED and axes <= set(v.dims)}
     numbers = [name for name, variable in of_points.items() if variable.dtype.kind in kinds]
     covariances = [f"{COVARIANCE_SUFFIX}_{str(axis).removesuffix('_other')}" for axis in dataset.coords]
     beside = {f"{name}_{suffix}" for name in numbers for suffix in (*BESIDE, *covariances)}

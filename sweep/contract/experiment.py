@@ -66,7 +66,7 @@ def refused(*errors: type[Exception], said: str = "", where: object = "", more: 
     try:
         yield
     except errors as error:
-        text = getattr(error, "strerror", None) or str(error) or type(error).__name__
+        text = " ".join(str(getattr(error, "strerror", None) or error).split()) or type(error).__name__
         problems, place = (error.problems, error.where) if isinstance(error, SweepError) else ([text], "")
         raise SweepError([f"{said}{one}{more}" for one in problems], place or str(where)) from error
 

@@ -202,17 +202,14 @@ def _differences(one: _Source, other: _Source, accept_code: bool) -> list[str]:
     if one.study.part is None:  # a parameter that both fix is an axis of what they make
         old, new = (json.loads(source.attributes["study_meaning"]) for source in (one, other))
         attributes["study_meaning"] = json.dumps({**old, "fixed": new["fixed"]})
-    sentences = [
-        text.replace(" in the store", f" {was}").replace(" in the study", f" {now}")
-        for text in run.study_differences(attributes, other.study)
-    ]
+    pairs = run.study_differences(attributes, other.study)
     numbers = ("n_sim", "n_cat", "precision", "max_n_sim")
     known = [{f"sampling.{key}": getattr(s.study.sampling, key) for key in numbers} for s in (one, other)]
     is_part = one.study.part is not None
     if is_part and not accept_code:
         for some, source in zip(known, (one, other), strict=True):
             some |= {name: json.loads(source.attributes["versions"]).get(name) for name in DECIDING}
-    sentences += [f"{key}: {a} {was}, {known[1][key]} {now}" for key, a in known[0].items() if a != known[1][key]]
+    sentences = run.differing(pairs | {key: (a, known[1][key]) for key, a in known[0].items()}, was, now)
     codes = [records[-1]["code"] if (records := run.records_of(s.attributes)) else {} for s in (one, other)]
     if accept_code:  # but for defaults, without which points at them are known
         codes = [run.defaults_alone(codes[0], codes[1]), run.defaults_alone(codes[1], codes[0])]

@@ -259,14 +259,14 @@ def find_store(where: Where, study: Study, keep: bool = False) -> OpenStore | No
     opened = store_at(where)
     if opened is None:
         return None
-    different = study_differences(opened.attributes, study, keep)
+    different = differing(study_differences(opened.attributes, study, keep))
     before, asked = opened.attributes.get(PART, "the whole"), str(study.part or "the whole")
     if before != asked:
         different.append(f"part: {before} in the store, {asked} in the study")
     elif study.part and opened.attributes["study_digest"] != study.digest():
         different.append(f"part: {asked} of other points or realisations in the store than in the study")
     if different:
-        no_use = study.part or before != asked or study_differences(opened.attributes, study, keep=True)
+        no_use = study.part or before != asked or differing(study_differences(opened.attributes, study, keep=True))
         ways = "" if no_use else ", or --keep (keep=True), with which constants that differ become axes"
         words = f"holds results of a different study, which would be mixed up; give another store with -o{ways}"
         raise SweepError([words, *different], str(opened.location))
@@ -303,9 +303,9 @@ def identity(study: Study) -> dict[str, Any]:
     }
 
 
-def study_differences(attributes: Mapping[str, Any], study: Study, keep: bool = False) -> list[str]:
-    """Say how the meaning of stored results differs from a study's; values of parameters that are an axis in either, or
-    have another default now (see `check_code`), are not compared, and with ``keep`` neither are those that may be axes.
+def study_differences(attributes: Mapping[str, Any], study: Study, keep: bool = False) -> dict[str, tuple[Any, Any]]:
+    """Return what decides the meaning of stored results, and that of a study's; values of parameters that are an axis
+    in either, or have another default now (see `check_code`), are left out, and with ``keep`` those that may be axes.
     """
     old, new = json.loads(attributes["study_meaning"]), json.loads(identity(study)["study_meaning"])
     axes = {*json.loads(attributes["study_axes"]), *study.varying}
@@ -318,11 +318,12 @@ def study_differences(attributes: Mapping[str, Any], study: Study, keep: bool = 
     names = sorted({*old["fixed"], *new["fixed"]} - axes)
     was, now = defaults | old.pop("fixed"), defaults | new.pop("fixed")
     pairs = {key: (old.get(key, "absent"), new.get(key, "absent")) for key in sorted({*old, *new})}
-    return _differing(pairs | {f"fixed.{name}": (was.get(name), now.get(name)) for name in names})
+    return pairs | {f"fixed.{name}": (was.get(name), now.get(name)) for name in names}
 
 
-def _differing(pairs: Mapping[str, tuple[Any, Any]]) -> list[str]:
-    return [f"{key}: {was!r} in the store, {now!r} in the study" for key, (was, now) in pairs.items() if was != now]
+def differing(pairs: Mapping[str, tuple[Any, Any]], was: str = "in the store", now: str = "in the study") -> list[str]:
+    """Return a phrase for each pair that differs; ``was`` and ``now`` say where its values are."""
+    return [f"{key}: {old!r} {was}, {new!r} {now}" for key, (old, new) in pairs.items() if old != new]
 
 
 def check_points(stored: Study, study: Study, where: str) -> None:
@@ -348,7 +349,7 @@ def check_points(stored: Study, study: Study, where: str) -> None:
         about = [key for key in ("design", "n", "seed", "ranges") if key in before.origin]
         pairs |= {f"points.{key}": (before.origin[key], points.origin.get(key)) for key in about}
         rule = "a table may only grow at its end: give another store with -o, or --fresh replaces this one"
-        raise SweepError([f"holds a table of other points; {rule}", *_differing(pairs)], where)
+        raise SweepError([f"holds a table of other points; {rule}", *differing(pairs)], where)
 
 
 class Writer:

@@ -416,8 +416,6 @@ def read_sky_table(name: str, path: Path, search: Search) -> pd.DataFrame:
     table, said = read_table(path), {option: by.get(name) for option, by in search.said.items()}
     rows = np.flatnonzero(rows_where(table, said["where"], str(path))) if said["where"] else np.arange(len(table))
     read = Columns(table[rows] if said["where"] else table, str(path), said["columns"], said["units"], QUANTITIES)
-    if not len(read):
-        raise SweepError("has no rows", str(path))
     columns: dict[str, Any] = _read_positions(read, said["error"])
     if name in search.stars:
         columns |= _read_motions(read, search.asked.missing_pm, said["ref_epoch"])

@@ -12,7 +12,7 @@ from threading import Lock
 from typing import Any
 
 from linksweep.sweep.code import Code, SourceFunction, version_of
-from linksweep.sweep.contract import Experiment, Named, Output, Parameter, Point, SweepError, Unknown, shown
+from linksweep.sweep.contract import Experiment, Named, Output, Parameter, Point, SweepError, Unknown, refused, shown
 from linksweep.sweep.contract.experiment import setting_problem
 from linksweep.sweep.formatting import command_line, host, now
 from linksweep.sweep.functions.adapter import experiment_of_record, layout_of_record
@@ -90,7 +90,8 @@ def recorded_study(attributes: Mapping[str, Any], where: str, *, whole: bool = F
     """
     if RECORD not in attributes:
         raise SweepError("has no record of its experiment", where)
-    try:
+    errors = LookupError, TypeError, ValueError, AttributeError, ArithmeticError, MemoryError, RecursionError
+    with refused(*errors, said="the record of its experiment cannot be read: ", where=where):
         code = Recorded(_experiment(json.loads(attributes[RECORD])))
         written = json.loads(attributes["study_document"])
         # what would load code, or be wrong where outputs are not known; results have attributes of their own for it
@@ -98,8 +99,6 @@ def recorded_study(attributes: Mapping[str, Any], where: str, *, whole: bool = F
         document = {key: section for key, section in written.items() if key not in left_out}
         study = study_of_attributes({**attributes, "study_document": json.dumps(document)}, where, code)
         return replace(study, sections={**study.sections, **{key: written[key] for key in left_out & written.keys()}})
-    except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError, MemoryError, RecursionError) as error:
-        raise SweepError(f"the record of its experiment cannot be read ({error})", where) from error
 
 
 def as_recorded(study: Study, attributes: Mapping[str, Any]) -> Study:

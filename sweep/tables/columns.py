@@ -22,7 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from linksweep.sweep.contract import Array, Named, SweepError, suggest
+from linksweep.sweep.contract import Array, Named, SweepError, suggest, unit_problem
 from linksweep.sweep.formatting import first_of
 from linksweep.sweep.tables.reader import BRACKETS, MISSING, has_unit, read_table, readme_of
 
@@ -371,13 +371,11 @@ class Columns:
         in_file = self.table[name].unit
         if stated is None:
             return None if str(in_file or "") == "" else in_file
-        try:
-            said = Unit(stated)
-        except (ValueError, TypeError) as error:
-            raise ValueError(f"units: {quantity} in {stated!r}, which is no unit like 'mas / yr'") from error
-        if has_unit(self.table[name]) and in_file != said:
+        if wrong := unit_problem(stated):
+            raise ValueError(f"units: {quantity}: {wrong}")
+        if has_unit(self.table[name]) and in_file != Unit(stated):
             raise ValueError(f"units: {quantity} in {stated}, but column {name!r} is in {in_file} as its file says")
-        return said
+        return Unit(stated)
 
     def _converted(self, name: str, quantity: str) -> Array:
         """Return a column in the unit of its quantity; raises ValueError for one that cannot be read."""
@@ -658,8 +656,7 @@ def table_file(path: Path) -> TableFile:
     if (readme := readme_of(path)) is not None:
         content.update(readme.read_bytes())
     table = TableFile(str(path.resolve()), content.hexdigest())
-    if not len(_load(table)):
-        raise SweepError("has no rows", str(path))
+    _load(table)  # raises for what is no table
     return table
 
 

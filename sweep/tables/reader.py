@@ -88,6 +88,8 @@ def read_table(path: Path, texts: Collection[str] = ()) -> Any:
                 if str(unit := getattr(column, "unit", None) or "") and not has_unit(column):
                     column.unit = _unit(str(unit))
             _add_degrees(table)
+        if not len(table):
+            raise SweepError("has no rows")
         return table
 
 
@@ -138,8 +140,6 @@ def _text(path: Path, content: bytes, texts: Collection[str]) -> Any:
         text = content.decode()
     except UnicodeDecodeError:
         text = content.decode("latin-1")
-    if not text.strip():
-        raise SweepError("has no rows")
     if "byte-by-byte description" in text[:100_000].lower():
         return _by_astropy("ascii.mrt", text.splitlines())
     if re.search(r"^ICRF J", text[:20_000], re.MULTILINE):
