@@ -13,8 +13,8 @@ import numpy as np
 
 from linksweep.core.catalogues import NEEDS_MAGNITUDES, SIDES, Catalogue, CatalogueKind, OwnErrors
 from linksweep.core.frames import MAS, Array
-from linksweep.core.missions import CurveError, FunctionCurve, Mission, mission_of
-from linksweep.sweep.contract import Named, Point
+from linksweep.core.missions import FunctionCurve, Mission, mission_of
+from linksweep.sweep.contract import Named, Point, SweepError
 
 # Magnitudes at which a user's function is tested before anything runs.
 PROBES = 100
@@ -163,7 +163,7 @@ class MagnitudeErrors(ErrorModel):
         return _at_magnitude(self.model, self.mission_length_yr, catalogue.magnitudes(point)[1])
 
     def problem(self, point: Point, catalogue: CatalogueKind) -> str | None:
-        """Return a problem if magnitudes are missing or beyond the end of the curve; raises CurveError where a user's
+        """Return a problem if magnitudes are missing or beyond the end of the curve; raises SweepError where a user's
         function has no valid value.
         """
         brightest, faintest = catalogue.magnitudes(point)
@@ -257,7 +257,7 @@ def _at_magnitude(model: str | Named, length_yr: float | None, v_mag: float) -> 
 # Cached: every point of a grid asks, and a user's function may take long.
 @lru_cache(maxsize=256)
 def _probe(model: Named, brightest: float, faintest: float) -> None:
-    """Raise CurveError where the functions of a user's mission have no valid values between two magnitudes, or other
+    """Raise SweepError where the functions of a user's mission have no valid values between two magnitudes, or other
     values in another call.
     """
     mission, v_mag = mission_of(model), np.linspace(brightest, faintest, PROBES)
@@ -269,4 +269,4 @@ def _probe(model: Named, brightest: float, faintest: float) -> None:
             first = int(np.argmax(differs))
             said = f"V = {v_mag[some][first]:g} mag is {values[first]:g} in one call and {again[first]:g} in another"
             said = f"the error of {errors} at {said}: it must depend on nothing but the magnitude"
-            raise CurveError(f"model = {model.name!r}: {said}")
+            raise SweepError(f"model = {model.name!r}: {said}")

@@ -12,13 +12,10 @@ import numpy as np
 
 from linksweep.core.frames import Array
 from linksweep.sweep.contract import DefinitionError, Function, Named, SweepError, rescaled, shown, suggest
+from linksweep.sweep.contract.experiment import is_number, needed
 
 # A function that returns the standard error at each magnitude, in the same shape.
 Curve = Callable[[Array], Array]
-
-
-class CurveError(ValueError):
-    """A curve has no valid value at some magnitude, or needs a package that is not installed."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +53,7 @@ class LogLinear:
 class FunctionCurve:
     """A user's function of an array of magnitudes, shape (N,), times ``factor``; it must depend on nothing else.
 
-    Raises CurveError where it raises, or returns anything but positive finite numbers of the same shape.
+    Raises SweepError where it raises, or returns anything but positive finite numbers of the same shape.
     """
 
     function: Function
@@ -70,14 +67,14 @@ class FunctionCurve:
                 raw = self.function(flat.copy())  # a copy: the function may change it
                 returned, unit = np.ma.asarray(raw), getattr(raw, "unit", None) or getattr(raw, "units", None)
         except (Exception, SystemExit) as error:  # whatever a user's function raises
-            raise CurveError(f"{name} raises {type(error).__name__}: {error}") from error
+            raise SweepError(f"{name} raises {type(error).__name__}: {error}") from error
         if returned.shape != flat.shape or returned.dtype.kind not in "fiu" or unit is not None:
             what = f"{returned.dtype} of shape {returned.shape}" + ("" if unit is None else f" in {unit}")
-            raise CurveError(f"{name} returns {what}, not plain numbers of shape {flat.shape}")
+            raise SweepError(f"{name} returns {what}, not plain numbers of shape {flat.shape}")
         values = np.ma.filled(returned.astype(np.float64), np.nan)
         if (bad := ~(np.isfinite(values) & (values > 0))).any():
             value, at = values[bad][0], flat[bad][0]
-            raise CurveError(f"{name} returns {value:g} at V = {at:g} mag: must be positive and finite")
+            raise SweepError(f"{name} returns {value:g} at V = {at:g} mag: must be positive and finite")
         return np.asarray(self.factor * values).reshape(np.shape(v_mag))
 
     def times(self, factor: float) -> "FunctionCurve":
@@ -94,7 +91,7 @@ class PyGaia:
 
     The study's V is taken as G; for quasars G - V is about -0.1 to 0 mag, which changes an error by at most 9 %.  The
     formula holds for G = 3 to 21 and is constant brighter than 13.
-    Raises CurveError, when it is called, without the package PyGaia.
+    Raises SweepError, when it is called, without the package PyGaia.
     Source: PyGaia (A. Brown), `pygaia.errors.astrometric`, the model of ESA's Gaia science performance pages.
     """
 
@@ -103,11 +100,9 @@ class PyGaia:
 
     def __call__(self, v_mag: Array) -> Array:
         """Return the error at each magnitude."""
-        try:  # only here: PyGaia is optional, and importing it takes half a second
+        # only here: PyGaia is optional, and importing it takes half a second
+        with needed("PyGaia", "gaia", f"the model 'gaia-{self.release}'"):
             from pygaia.errors import astrometric
-        except ImportError as error:
-            said = f"the model 'gaia-{self.release}' needs PyGaia: pip install 'linksweep[gaia]' ({error})"
-            raise CurveError(said) from error
         formula = getattr(astrometric, f"{self.quantity}_uncertainty")
         ra_uas, dec_uas = formula(np.atleast_1d(v_mag), release=self.release)
         return np.asarray(np.sqrt((ra_uas**2 + dec_uas**2) / 2.0) / 1000.0).reshape(np.shape(v_mag))
@@ -411,8 +406,6 @@ def _identity(curve: UserCurve) -> dict[str, Any]:
     return {type(curve).__name__: vars(curve)}
 
 
-def _finite(raw: object) -> float:
+def _finite(raw: Any) -> float:
     """Return a finite number as float, NaN for anything else."""
-    if isinstance(raw, (int, float)) and not isinstance(raw, bool) and abs(raw) < 1e300:
-        return float(raw) + 0.0  # no negative zero, which would change the identity
-    return np.nan
+    return float(raw) + 0.0 if is_number(raw) else np.nan  # no negative zero, which would change the identity

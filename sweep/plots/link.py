@@ -180,9 +180,9 @@ def accuracy_curves(chosen: Sequence[str] = (), study: Study | None = None) -> x
     for name in chosen or known:
         try:
             sigma_pos, sigma_pm = missions.mission_of(known[name]).sigmas_to_limit(v)
-        except missions.CurveError as error:
+        except SweepError:
             if chosen or study is not None:
-                raise SweepError(str(error)) from error
+                raise
             continue
         calibrated = missions.CALIBRATED.get(name) if isinstance(known[name], str) else None
         relative = np.full(v.shape, np.nan) if calibrated is None else calibrated.relative_error(v)

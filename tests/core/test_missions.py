@@ -11,7 +11,7 @@ import pytest
 from astropy.units import Quantity
 from pygaia.errors import astrometric
 
-from linksweep.core.missions import MISSIONS, CurveError, FunctionCurve, mission_from_table
+from linksweep.core.missions import MISSIONS, FunctionCurve, mission_from_table
 from linksweep.sweep.contract import DefinitionError, SweepError
 from tests.core import points
 from tests.core.points import CALIBRATED, Function, calibrate
@@ -179,7 +179,7 @@ def test_a_range_a_floor_and_a_function_of_ones_own():
 
 @pytest.mark.parametrize("sentence", NO_CURVES)
 def test_what_is_no_curve(sentence):
-    with pytest.raises(CurveError, match=re.escape(sentence)):
+    with pytest.raises(SweepError, match=re.escape(sentence)):
         FunctionCurve(Function(NO_CURVES[sentence]))(np.arange(15.0, 20.0))
 
 
