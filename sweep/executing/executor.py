@@ -189,19 +189,18 @@ class _Trial:
         """Return what a child is to compute next."""
         return replace(self.task, units=tuple(self.units))
 
-    def take(self, results: list[TaskResult]) -> None:
-        """Add results of the first units; one of several units has the rows of all of them."""
+    def take(self, result: TaskResult) -> None:
+        """Add the result of the first units."""
         self._deaths = 0
-        for result in results:
-            self.results.append(result)
-            units, rows = list[PointBlock](), len(result.seconds)
-            self.inside = max(0, self.inside - rows)
-            while rows > 0:
-                units.append(self.units.popleft())
-                rows -= len(units[-1].points)
-            if result.again:
-                done = tuple(units[row] for row in result.outcomes)
-                self.again = replace(self.task, units=done, first=tuple(result.outcomes.values()))
+        self.results.append(result)
+        units, rows = list[PointBlock](), len(result.seconds)
+        self.inside = max(0, self.inside - rows)
+        while rows > 0:
+            units.append(self.units.popleft())
+            rows -= len(units[-1].points)
+        if result.again:
+            done = tuple(units[row] for row in result.outcomes)
+            self.again = replace(self.task, units=done, first=tuple(result.outcomes.values()))
 
     def after_death(self, death: Failure) -> None:
         """Find out which point has ended a child, and give that up after so many `TRIES`.
@@ -218,7 +217,7 @@ class _Trial:
         else:
             self._deaths += 1
             if death.kind == "time limit" or self._deaths >= TRIES:
-                self.take([TaskResult.failed(1, death)])
+                self.take(TaskResult.failed(1, death))
                 self.ended = not self.inside
 
     def result(self) -> TaskResult:
@@ -316,7 +315,7 @@ class _Child:
         except (EOFError, OSError, UnpicklingError):  # the last where a function has broken what pickle uses
             trial.after_death(self._death(trial.task.time_limit_s))
         else:
-            if isinstance(answer, list):
+            if isinstance(answer, TaskResult):
                 trial.take(answer)
                 return trial
             if isinstance(answer, SweepError):
@@ -436,21 +435,21 @@ def _serve(channel: Connection, words: IO[bytes]) -> None:
     deadlines = worker.Deadlines()
     with threadpool_limits(1), suppress(EOFError):
         while (message := channel.recv()) is not None:
-            for results in _results(deadlines, *message):
-                channel.send(results)
+            for result in _results(deadlines, *message):
+                channel.send(result)
             channel.send(None)
 
 
-def _results(deadlines: worker.Deadlines, task: Task, careful: bool) -> Iterator[list[Any]]:
-    """Yield the results of a task: several at once, or if ``careful`` each unit as soon as it is done."""
+def _results(deadlines: worker.Deadlines, task: Task, careful: bool) -> Iterator[TaskResult]:
+    """Yield the results of a task: several as one, or if ``careful`` each unit as soon as it is done."""
     ready, sent = list[TaskResult](), time.monotonic()
     for result in worker.run_units(task, deadlines, apart=careful):
         ready.append(result)
         if careful or time.monotonic() > sent + SEND_EVERY_S:
-            yield ready
+            yield TaskResult.joined(ready)
             ready, sent = [], time.monotonic()
     if ready:
-        yield ready
+        yield TaskResult.joined(ready)
 
 
 Map = Callable[[Callable[..., Any], Iterable[tuple[Any, ...]]], Iterator[Any]]

@@ -211,7 +211,7 @@ class TaskResult:
         for first, result in zip(starts.tolist(), results, strict=False):
             for name in ("outcomes", "failures", "said"):
                 getattr(whole, name).update({first + row: value for row, value in getattr(result, name).items()})
-            whole.refused = whole.refused or result.refused
+            whole.refused, whole.again = whole.refused or result.refused, whole.again or result.again
         whole.seconds = np.concatenate([whole.seconds, *(result.seconds for result in results)])
         whole.cold = any(result.cold for result in results[:1])
         return whole

@@ -449,8 +449,9 @@ class _Computing:
         """Call a repeatable function again at the points of some units, and say in their result if it then differs, or
         that another process is to do so.
         """
-        seconds = float(result.seconds.sum())
-        if not self.task.repeatable or not result.outcomes or self.who in _agreed or seconds > LONGEST_S:
+        if not self.task.repeatable or not result.outcomes or self.who in _agreed:
+            return
+        if (seconds := float(result.seconds.sum())) > LONGEST_S:
             return
         if seconds > self.task.at_once_s:
             result.again = True
