@@ -8,7 +8,7 @@ import json
 import platform
 import re
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from functools import lru_cache
 from itertools import pairwise
@@ -105,13 +105,14 @@ def harmless(text: str) -> str:
     return text.translate(LINES_ESCAPED)
 
 
-def with_error(value: Any, error: float, step: float = 0.0) -> str:
+def with_error(value: Any, error: float, step: float = 0.0, digits: int = 4) -> str:
     """Return a number and its error with two digits of the error, or of a step where it has no error.
 
     Args:
         value: Any number; NaN gives an empty string.  Texts, truth values and integers are not rounded.
         error: One standard error; it is left out where it is not positive and finite.
-        step: What says the digits of a number without an error, such as that of an axis; 0 for four digits.
+        step: What says the digits of a number without an error, such as that of an axis.
+        digits: How many digits it has without a step.
 
     Examples:
         >>> with_error(0.66, 0.0027)
@@ -119,11 +120,24 @@ def with_error(value: Any, error: float, step: float = 0.0) -> str:
         >>> with_error(0.66, 0.0)
         '0.66'
     """
-    return f"{rounded(value, error)} ± {rounded(error, error)}" if 0.0 < error < inf else rounded(value, step)
+    return f"{rounded(value, error)} ± {rounded(error, error)}" if 0.0 < error < inf else rounded(value, step, digits)
 
 
-def rounded(value: Any, error: float = 0.0) -> str:
-    """Return a number to two digits of its error, or to four digits of its own where it has none; '' for NaN.
+def digits_of(values: Iterable[Any]) -> int:
+    """Return how many digits numbers without errors have: four, or as many as show by what close ones differ, but for
+    rounding.
+
+    Examples:
+        >>> digits_of([1.0, 2.0]), digits_of([2460000.5, 2460000.75]), digits_of([0.3, 0.1 + 0.2])
+        (4, 9, 4)
+    """
+    known = [float(value) for value in values if isinstance(value, int | float) and isfinite(value)]
+    largest, span = max(map(abs, known), default=0.0), max(known, default=0.0) - min(known, default=0.0)
+    return 3 + floor(log10(largest / span)) if 1e-12 * largest < span < 0.1 * largest else 4
+
+
+def rounded(value: Any, error: float = 0.0, digits: int = 4) -> str:
+    """Return a number to two digits of its error, or to so many ``digits`` where it has none; '' for NaN.
 
     Examples:
         >>> rounded(1234.5678, 3.0), rounded(1234.5678), rounded(-0.001, 0.1), rounded(2e25, 3.1e22)
@@ -137,10 +151,10 @@ def rounded(value: Any, error: float = 0.0) -> str:
         decimals = 1 - floor(log10(error) + 1e-6)  # a step of 0.1 may be a little less
         if -5 < decimals < 10:
             return f"{value:z.{max(0, decimals)}f}"
-        digits = decimals + floor(log10(abs(value) or error)) + 1
-        return f"{value:#.{max(2, digits)}g}" if digits < 13 else f"{value:.12g}"  # more are of exact laws
+        many = decimals + floor(log10(abs(value) or error)) + 1
+        return f"{value:#.{max(2, many)}g}" if many < 13 else f"{value:.12g}"  # more are of exact laws
     exact = float(value).is_integer() and abs(value) < 2**53  # beyond it a float may stand for another integer
-    return f"{value:z.0f}" if exact else f"{value:.4g}"
+    return f"{value:z.0f}" if exact else f"{value:.{digits}g}"
 
 
 def plain(values: Sequence[Any]) -> list[str]:

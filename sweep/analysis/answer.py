@@ -4,6 +4,7 @@ from __future__ import annotations  # names of xarray, which is imported only wh
 
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from math import inf
 from string import Formatter
 from typing import TYPE_CHECKING
@@ -157,8 +158,10 @@ def _range(part: xr.Dataset, array: xr.DataArray, errors: Array, unit: str) -> s
     values, sigmas = quantity.exact(array.values).reshape(-1), errors.reshape(-1)  # integers are exact
     known = np.flatnonzero(np.isfinite(values.astype(float, copy=False)))
     low, high = (known[end(values[known])] for end in (np.argmin, np.argmax))
-    number = [formatting.with_unit(values[flat].item(), float(sigmas[flat]), unit) for flat in (low, high)]
-    doubt = ("", "; one of the errors is not known", "; errors are not known")[np.isnan(sigmas[[low, high]]).sum()]
+    ends, two = [values[flat].item() for flat in (low, high)], sigmas[[low, high]]
+    form = partial(formatting.with_error, digits=formatting.digits_of(ends))
+    number = [formatting.with_unit(end, float(sigma), unit, form) for end, sigma in zip(ends, two, strict=True)]
+    doubt = ("", "; one of the errors is not known", "; errors are not known")[np.isnan(two).sum()]
     if values.size == 1:
         return f"It is {number[0]}{doubt}."
     indices = (map(int, np.unravel_index(flat, array.shape)) for flat in (low, high))
@@ -167,7 +170,8 @@ def _range(part: xr.Dataset, array: xr.DataArray, errors: Array, unit: str) -> s
     is_of_points, done = len(array.dims) == len(part["status"].dims), int((part["status"].values == Status.DONE).sum())
     points = formatting.counted(len(known), "point" if is_of_points else "value")
     points = f"{len(known):,} of {done:,} points" if is_of_points and done > len(known) else points
-    if values[low] == values[high]:
+    if ends[0] == ends[1] or (number[0] == number[1] and not two.any()):
+        doubt = doubt if ends[0] == ends[1] else ", except for rounding"
         return f"It is {number[0]} at {points if len(known) > 1 else least}{doubt}."
     return f"It is between {number[0]} ({least}) and {number[1]} ({largest}), over {points}{doubt}."
 

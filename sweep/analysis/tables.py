@@ -10,6 +10,7 @@ from __future__ import annotations  # names of xarray, which is imported only wh
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -139,7 +140,8 @@ def _columns_of(dataset: xr.Dataset, columns: dict[str, Column], name: str, rows
     def beside(heading: str, values: Sequence[Any], rank: int, to: Sequence[float]) -> Column:
         return Column(heading, values, list(map(formatting.rounded, values, to)), main.unit, rank=rank)
 
-    yield replace(main, cells=list(map(formatting.with_error, main.values, errors)), rank=VALUE)
+    with_error = partial(formatting.with_error, digits=formatting.digits_of(main.values))
+    yield replace(main, cells=list(map(with_error, main.values, errors)), rank=VALUE)
     if (predicted := columns.get(quantity.prediction_name(columns, name))) is not None:
         yield beside("predicted", predicted.values, PREDICTED, errors)
     published = columns[f"{name}_published"].values if f"{name}_published" in columns else []

@@ -462,9 +462,8 @@ def positions(axes: Axes, dataset: xr.Dataset, axis: str, which: str) -> Array:
             scale.update_units(array.values)
         return np.asarray(scale.convert_units(array.values))
     values = array.values.tolist()
-    names, is_truth = list(dict.fromkeys(values)), formatting.is_truth(array)
-    texts = [style.SWITCH[name] if is_truth else style.value_text(dataset, axis, str(name)) for name in names]
-    style.name_ticks(axes, which, texts)
+    names, before = list(dict.fromkeys(values)), f"{style.symbol(axis, array.attrs)} = "
+    style.name_ticks(axes, which, [style.value_text(dataset, axis, name).removeprefix(before) for name in names])
     places = np.array([names.index(value) for value in values], dtype=float)
     if array.dims == (POINT,):  # spread a little in both directions, so that points do not hide each other: R2 sequence
         places += 0.5 * (np.arange(array.size) * {"x": 0.7548776662, "y": 0.5698402910}[which] % 1.0 - 0.5)

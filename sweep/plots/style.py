@@ -184,9 +184,7 @@ def save(figure: Figure, path: Path, words: str = "") -> None:
 
 # Labels
 
-SWITCH = "no", "yes"  # what a truth value says as a parameter: "aberration: no"
 GREEK = "alpha|beta|gamma|delta|epsilon|zeta|eta|theta|kappa|lambda|mu|nu|xi|pi|rho|sigma|tau|phi|chi|psi|omega"
-_NUMBER = re.compile(r"[-+]?\d*\.?\d+(e[-+]?\d+)?")
 _NAME = re.compile(rf"({GREEK}|[a-zA-Z])(\d*)(?:_(\w+))?")
 
 
@@ -290,15 +288,13 @@ def value_text(dataset: xr.Dataset, axis: str, value: Any) -> str:
         return str(value).replace("T", " ")
     if formatting.is_missing(value) or str(value).lower() in ("", "none"):  # the parameter has no effect there
         return f"no {name}"
-    if formatting.is_truth(array):
-        return f"{name}: {SWITCH[bool(value)]}"
+    value = bool(value) if formatting.is_truth(array) else value
     text = formatting.harmless(quantity.value_in_words(dataset, axis, value))
-    # a number needs its axis, and what begins with _ would be missing in the legend
-    if not isinstance(value, str) or value.startswith("_") or _NUMBER.fullmatch(value):
-        return f"{name} = {text} {formatting.written(formatting.units_of(array.attrs))}".rstrip()
-    symbols = json.loads(array.attrs.get("symbols", "{}"))
-    is_name = f"{axis}_unit" in dataset.coords or ("_" in value and _NAME.fullmatch(value))
-    return symbols.get(value.replace(r"\$", "$")) or (component_symbol(text) if is_name else text)
+    if known := json.loads(array.attrs.get("symbols", "{}")).get(str(value).replace(r"\$", "$")):
+        return str(known)
+    if f"{axis}_unit" in dataset.coords or ("_" in text and _NAME.fullmatch(text)):
+        return component_symbol(text)
+    return f"{name} = {text} {formatting.written(formatting.units_of(array.attrs))}".rstrip()
 
 
 def values_text(dataset: xr.Dataset, values: Mapping[str, Any]) -> str:
@@ -324,6 +320,7 @@ SCALE = "scale"  # the attribute of a variable whose axis was chosen: "log" or "
 # Numbers that span less than this factor are drawn on a logarithmic axis only if their ratios are equal: none is
 # farther from its place among equal steps of the logarithm than this share of the axis.
 WIDE_RATIO, EVEN = 5.0, 0.01
+LEAST = 1e-286  # below it matplotlib shows numbers on a linear axis as 0
 PLAIN = 1e-3, 1e4  # a logarithmic axis between these has no powers of ten
 
 
@@ -369,8 +366,9 @@ def is_logarithmic(array: xr.DataArray, *beside: xr.DataArray) -> bool:
     is_seen = not any((one <= 0.0).any() for one in (array, *beside))
     if known.size < 3 or not is_seen or formatting.units_of(array.attrs) in formatting.LOGARITHMIC_UNITS:
         return False
-    of_ratios = unevenness(np.log(known))
-    return of_ratios < unevenness(known) and (of_ratios < EVEN or bool(known[-1] > WIDE_RATIO * known[0]))
+    of_steps, of_ratios = unevenness(known), unevenness(np.log(known))
+    is_wide = bool(known[-1] > WIDE_RATIO * known[0])
+    return of_ratios < of_steps and (is_wide or of_ratios < EVEN < 10.0 * of_steps)  # close numbers have even steps too
 
 
 def unevenness(places: Array) -> float:
@@ -385,6 +383,8 @@ def fit_scale(axes: Axes, which: str, array: xr.DataArray) -> None:
         axes.set(**{f"{which}ticks": [0.0, 1.0], f"{which}ticklabels": names})
     elif is_logarithmic(array):
         logarithmic(axes, which, array.values)
+    elif 0.0 < np.fmax.reduce(abs(array.values.astype(float)), axis=None) < LEAST:
+        raise SweepError(f"{array.name} has only numbers below {LEAST:g}, which a linear axis cannot show")
 
 
 def logarithmic(axes: Axes, which: str, values: Any) -> None:

@@ -66,8 +66,8 @@
   const isLogarithmic = (values) => {
     const known = [...new Set(values.filter(Number.isFinite))].sort((a, b) => a - b);
     if (known.length < 3 || known[0] <= 0) return false;
-    const ofRatios = unevenness(known.map(Math.log));
-    return ofRatios < unevenness(known) && (ofRatios < EVEN || known.at(-1) > WIDE * known[0]);
+    const [ofSteps, ofRatios] = [unevenness(known), unevenness(known.map(Math.log))];
+    return ofRatios < ofSteps && (known.at(-1) > WIDE * known[0] || (ofRatios < EVEN && EVEN < 10 * ofSteps));
   };
 
   // Over less than two decades BokehJS labels a logarithmic axis as a linear one: 5, 10, 15, 20.

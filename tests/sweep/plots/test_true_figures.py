@@ -16,8 +16,8 @@ from linksweep.sweep.analysis import quantity
 from linksweep.sweep.plots import style
 from tests.tiers import examples, slow
 
-LARGE = [50.0, 7.0, 90.0, 41.0, 23.0, 77.0, 64.0, 12.0, 34.0, 58.0]
-OTHERS = [([1, 2, 5, 10, 20, 50], "log"), ([1.0, 1.19, 1.41, 1.68, 2.0], "log"), (LARGE, "linear")]
+LARGE, CLOSE = [50.0, 7.0, 90.0, 41.0, 23.0, 77.0, 64.0, 12.0, 34.0, 58.0], [1.0 + 1e-12 * i for i in range(9)]
+OTHERS = [([1, 2, 5, 10, 20, 50], "log"), ([1.0, 1.19, 1.41, 1.68, 2.0], "log"), (LARGE, "linear"), (CLOSE, "linear")]
 OTHERS += [([1.0, 2.0, 2.5, 4.0, 5.5, 7.0], "linear"), ([0.0, 1.0, 10.0, 100.0], "linear"), ([1.0, 100.0], "linear")]
 WIDTH = 88.0
 KINDS = ["steel", "aluminium", "carbon fibre composite"]
@@ -68,6 +68,8 @@ def test_numbers_of_six_hundred_decades_are_all_in_view():
     [axes] = linksweep.plot(results(x).assign(y=("x", x)), "lines").axes
     for low, high in (axes.get_xlim(), axes.get_ylim()):
         assert (low < 1e-299, high > 1e299) == (True, True)
+    with pytest.raises(linksweep.SweepError, match="y has only numbers below 1e-286, which a linear axis cannot show"):
+        linksweep.plot(results(x).assign(y=("x", 1e-300 * np.arange(13.0))))
 
 
 def test_a_study_chooses_and_a_call_overrides_it(tmp_path):
@@ -176,9 +178,9 @@ def test_figures_and_their_words_have_true_and_false(tmp_path, sweep, over):
     assert not [line for line in axes.lines if line.get_linestyle() == "-"]  # nothing is half true
     if over == "load":
         said = axes.get_legend_handles_labels()[1]
-        assert [label for label in said if "strong" in label] == ["strong: yes", "strong: no"]
+        assert [label for label in said if "strong" in label] == ["strong = True", "strong = False"]
     else:
-        assert [text.get_text() for text in axes.get_xticklabels()] == ["yes", "no"]
+        assert [text.get_text() for text in axes.get_xticklabels()] == ["True", "False"]
     options = ["--kind", "lines", "--variable", "stands", "--over", over, "--caption"]
     assert sweep("plot", weighed, *options, "-o", tmp_path / "a.svg")[0] == 0
     assert "stands: It is True at 3 of" in (tmp_path / "a.txt").read_text()

@@ -173,6 +173,8 @@ def test_the_answer_names_range_places_and_what_changes_it():
         *((np.full((2, 3), 7.0), "7 mas"), ([[1.0, np.inf, 2.0], [1.0] * 3], "over 5 of 6 points.")),
         ([[np.nan, np.nan, 3.0], [np.nan] * 3], "3 mas at model=old, size=4"),
         ([[1.0, -1.0, 0.0], [0.0] * 3], "between -1 mas (model=old, size=2) and 1 mas"),
+        ([[2.0, 2.0 + 3e-11, 2.0]] * 2, "between 2 mas (model=old, size=1) and 2.00000000003 mas (model=old, size=2)"),
+        ([[0.3, 0.1 + 0.2, 0.3]] * 2, "It is 0.3 mas at 6 points, except for rounding."),
     ):
         assert phrase in sentences(grid(value))
 
