@@ -33,16 +33,20 @@ _ADDRESS = re.compile(r"([a-z][a-z0-9+.-]*://)(?:[^\s?#'\"]*@)?([^\s/?#'\"]*)([^
 _TOKEN = re.compile(r"[A-Za-zµμ]+")
 # The u of micro before a unit, and not that of users.
 _MICRO = re.compile(r"\bu(?=(?:as|arcsec|rad|s|m|g|Hz|K|mol|J|W|N|V|A|Pa|eV|Jy|mag|pc)\b)")
+_POWER = re.compile(r"(?<=[A-Za-z])(?<!\de)(?:\*\*|\^|(?=-))(-?\d+)\b(?!\.)")
 _END = re.compile(r" \(|, |; |: ")
+
+RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 LEAST, MOST = 0.1, 1000.0  # a number from the first to below the second needs no other prefix
 STEPS = {"n": -9, "u": -6, "m": -3, "": 0, "k": 3, "M": 6, "G": 9}
 # The powers of ten of units that do not take all: nobody writes 3000 s as 3 ks.  Those that take none mostly have
-# multiples with other names, or are logarithms.
+# multiples with other names, are logarithms, or are counted.
 TAKEN: Mapping[str, range] = {
-    **dict.fromkeys(("s", "rad", "g"), range(-9, 1)),
+    **dict.fromkeys(("s", "rad", "g", "K"), range(-9, 1)),
     **dict.fromkeys(("pc", "yr", "lyr", "AU", "bit", "byte"), range(10)),
     **dict.fromkeys(("d", "h", "min", "deg", "arcmin", "hourangle", "dex", "dB", "t", "ct", "ph", "mag"), range(0)),
+    **dict.fromkeys(("erg", "dyn", "AA", "Angstrom", "solMass", "solLum", "solRad", "count", "adu", "pix"), range(0)),
 }
 # Angles by their powers of ten.  Smaller ones are not widely known, and for these astropy need not be imported, which
 # takes longer than everything else at the end of a run.
@@ -140,8 +144,8 @@ def rounded(value: Any, error: float = 0.0, digits: int = 4) -> str:
     """Return a number to two digits of its error, or to so many ``digits`` where it has none; '' for NaN.
 
     Examples:
-        >>> rounded(1234.5678, 3.0), rounded(1234.5678), rounded(-0.001, 0.1), rounded(2e25, 3.1e22)
-        ('1234.6', '1235', '0.00', '2.0000e+25')
+        >>> rounded(1234.5678, 3.0), rounded(12345.678), rounded(-0.001, 0.1), rounded(2e25, 3.1e22)
+        ('1234.6', '12346', '0.00', '2.0000e+25')
     """
     if is_missing(value):
         return ""
@@ -153,8 +157,9 @@ def rounded(value: Any, error: float = 0.0, digits: int = 4) -> str:
             return f"{value:z.{max(0, decimals)}f}"
         many = decimals + floor(log10(abs(value) or error)) + 1
         return f"{value:#.{max(2, many)}g}" if many < 13 else f"{value:.12g}"  # more are of exact laws
+    is_long = 10.0**digits <= abs(value) < 1e7  # which no power of ten makes shorter
     exact = float(value).is_integer() and abs(value) < 2**53  # beyond it a float may stand for another integer
-    return f"{value:z.0f}" if exact else f"{value:.{digits}g}"
+    return f"{value:z.0f}" if exact or is_long else f"{value:.{digits}g}"
 
 
 def plain(values: Sequence[Any]) -> list[str]:
@@ -304,25 +309,24 @@ def prefixed(values: Any, unit: str) -> Prefixed:
 
 
 def written(unit: str) -> str:
-    """Return a unit as people write it: no blanks around the slash, and the micro sign.
+    """Return a unit as people write it: no blanks around the slash, powers raised, and the micro sign.
 
     Examples:
-        >>> written("uas / yr"), written("mas yr-1"), written("users / d")
-        ('µas/yr', 'mas/yr', 'users/d')
+        >>> written("uas / yr"), written("mas yr-1"), written("users / d"), written("W m^-2 Hz**-1")
+        ('µas/yr', 'mas/yr', 'users/d', 'W m⁻² Hz⁻¹')
     """
-    text = unit.replace(" / ", "/")
-    text = re.sub(r"^(\w+) (\w+)-1$", r"\1/\2", text)
+    text = _POWER.sub(lambda power: power[1].translate(RAISED), in_ascii(unit))
     return _MICRO.sub("µ", text)
 
 
 def in_ascii(unit: str) -> str:
-    """Return a unit as terminals show it: `written` without the micro sign.
+    """Return a unit as terminals show it: `written` without raised letters and the micro sign.
 
     Examples:
         >>> in_ascii("uas / yr"), in_ascii("mas yr-1")
         ('uas/yr', 'mas/yr')
     """
-    return written(unit).replace("µ", "u")
+    return re.sub(r"^(\w+) (\w+)-1$", r"\1/\2", unit.replace(" / ", "/")).replace("µ", "u")
 
 
 def with_micro_signs(sentence: str) -> str:

@@ -4,8 +4,10 @@ their captions, and descriptions for those who cannot see them.
 
 import io
 import json
+import logging
 import re
 import textwrap
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
@@ -175,11 +177,21 @@ def save(figure: Figure, path: Path, words: str = "") -> None:
     ``words`` if there are any; raises SweepError.
     """
     require_format(path)
-    with reading(path, "cannot draw there"):
+    with reading(path, "cannot draw there"), warnings.catch_warnings(record=True) as caught:
+        warnings.filterwarnings("always", message="Glyph")
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path, dpi=300, metadata=FORMATS[path.suffix.lower()])
         if words:
             path.with_suffix(".txt").write_text(words, encoding="utf-8")
+    letters = dict[str, None]()
+    for one in caught:
+        if glyph := re.match(r"Glyph (\d+) .* missing", str(one.message)):
+            letters[chr(int(glyph[1]))] = None
+        else:
+            warnings.warn_explicit(one.message, one.category, one.filename, one.lineno)
+    if letters:
+        words = f"the font lacks {''.join(letters)}, drawn as boxes; choose another as font.family in matplotlibrc"
+        logging.getLogger("linksweep").warning("warning: %s: %s", path, words)
 
 
 # Labels

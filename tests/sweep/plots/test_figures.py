@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import linksweep
+from linksweep.sweep.plots import style
 from tests.tiers import slow
 
 LIMIT, NUMBER = r"$V_\mathrm{max}$ [mag]", r"$N_\mathrm{obj}$"
@@ -178,7 +179,7 @@ def test_values_of_an_axis_have_a_ramp_of_colours_and_stand_at_the_ends_of_lines
     assert len({int(str(line.get_color())[5:7], 16) for line in lines}) == 4
 
 
-def test_what_a_panel_lacks_is_named(tmp_path):
+def test_what_a_panel_or_the_font_lacks_is_named(tmp_path, caplog):
     def chosen(x: float, clip: str, gamma: float | None = None, mode: str | None = None):
         return x * (gamma or 1.0) + len(clip + (mode or ""))
 
@@ -187,6 +188,9 @@ def test_what_a_panel_lacks_is_named(tmp_path):
     figure = linksweep.plot(linksweep.run(chosen, tmp_path / "s.zarr", axes=axes, when=when, pool="serial"))
     shown = ", ".join([*(axes.get_title() for axes in axes_of(figure)), *texts(figure.legends[0])]).split(", ")
     assert {"no clip", "clip = hard", r"no $\gamma$", r"$\gamma$ = 2", "no mode", r"mode = \$\a_\$"} <= {*shown}
+    figure.suptitle("温度, 温")
+    style.save(figure, tmp_path / "a.png")
+    assert "a.png: the font lacks 温度, drawn as boxes" in caplog.text
 
 
 def drawn(figure):
