@@ -391,16 +391,6 @@ def in_short(value: float, error: float = 0.0, unit: str = "") -> str:
     return with_unit(value, error, unit, _short)
 
 
-def in_three_digits(value: float, unit: str = "") -> str:
-    """Return a number with three digits in the unit in which it reads best.
-
-    Examples:
-        >>> in_three_digits(0.00054119, "mas / yr")
-        '0.541 uas/yr'
-    """
-    return with_unit(value, 0.0, unit, lambda number, _: f"{number:.3g}")
-
-
 def _short(value: float, error: float) -> str:
     if value == 0.0 or not isfinite(value):
         return f"{value:g}"

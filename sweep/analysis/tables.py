@@ -275,7 +275,7 @@ def _component_tables(dataset: xr.Dataset) -> Iterator[Table]:
             i, j = sorted(np.unravel_index(np.argmax(np.abs(beside)), beside.shape))
             facts += f", largest correlation {beside[i, j]:.3f} ({labels[i]}, {labels[j]})"
         units = point[f"{dim}_unit"].values.tolist() if f"{dim}_unit" in point.coords else [""] * len(labels)
-        cells = list(map(formatting.in_three_digits, point[name].values.tolist(), units))
+        cells = [formatting.in_short(v, 0.0, u) for v, u in zip(point[name].values.tolist(), units, strict=True)]
         place = ", ".join(filter(None, [name, quantity.place_in_words(quantity.place_at(dataset, index), dataset)]))
         yield Table([Column("", labels, left=True), Column("", cells)], f"{place}: {facts}")
 

@@ -1,7 +1,6 @@
 """Merges stores of one experiment into one: the parts of a study, or stores that hold other points each."""
 
 import json
-import logging
 import re
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
@@ -24,6 +23,7 @@ from linksweep.sweep.planning.grid import Grid, describe, make_grid
 from linksweep.sweep.planning.plan import Plan, lost_parts
 from linksweep.sweep.planning.union import REFINED, rounds_of, united
 from linksweep.sweep.running import run
+from linksweep.sweep.running.progress import SENTENCES
 from linksweep.sweep.running.reproduce import study_of
 from linksweep.sweep.stores.integrity import LEDGER_THEN, STORE
 from linksweep.sweep.stores.ledger import Ledger, Record, references
@@ -34,8 +34,6 @@ from linksweep.sweep.studies.study import LOST, PART, Part, Study, in_ranges
 
 # The attribute of a store made of others: JSON of where their results come from.
 MERGED = "merged"
-
-log = logging.getLogger("linksweep")
 
 # Attributes of a store that are kept in a store made of it.
 KEPT = ("study_name", "study_digest", "study_overrides", "started", "finished", "host", "versions", "git_commit")
@@ -134,7 +132,7 @@ def _sources(places: Sequence[Where], trust: bool) -> list[_Source]:
         if (runs := holder(location)) is not None:
             if not Part.named(location):  # one that has just begun has no store
                 raise SweepError(f"is being written by {runs}; merge it when that has ended", str(location))
-            log.warning("%s is being written by %s; it is left out", location, runs)
+            SENTENCES.warning("%s is being written by %s; it is left out", location, runs)
             why = "nothing can be merged yet"
             continue
         if opened is None and Part.named(location):

@@ -7,7 +7,7 @@ import numpy as np
 import xarray as xr
 
 from linksweep.sweep.contract import SweepError, p_value
-from linksweep.sweep.formatting import in_three_digits, prefixed, rounded, with_unit
+from linksweep.sweep.formatting import in_short, prefixed, rounded, with_unit
 from linksweep.sweep.table_writer import Column, Table
 
 STEPS_SHOWN, UNKNOWNS_SHOWN = 10, 6  # how many steps of a clip a table has at least, and of how many unknowns
@@ -30,7 +30,7 @@ def headline(result: xr.Dataset) -> list[str]:
         errors[f"the {result.sizes['step'] - 1} chosen"] = result.step_error.values[-1]
     sentences = []
     for name, unit, its in parts:
-        texts = [f"{s} {in_three_digits(np.sqrt(np.mean(e[its] ** 2)).item(), unit)}" for s, e in errors.items()]
+        texts = [f"{s} {in_short(np.sqrt(np.mean(e[its] ** 2)).item(), 0.0, unit)}" for s, e in errors.items()]
         sentences.append(f"RMS error of the {name.replace('_', ' ')}: {', '.join(texts)}.")
     return sentences
 
