@@ -18,7 +18,8 @@ VALUES |= {"weighting": ["inverse-variance", "equal"], "omega": [(0.0, 0.0, 0.0)
 VALUES |= {"zone_of_avoidance": [0.0, 15.0], "sky_contrast": [0.0, 0.4], "n_obj": range(9, 101)}
 VALUES |= {name: [False, True] for name in ("solve_glide", "corrections", "aberration")}
 POINTS = st.fixed_dictionaries({name: st.sampled_from(values) for name, values in VALUES.items()})
-SHARED, N_SIM = st.sets(st.sampled_from(sorted(link.shared)), max_size=6), [1, 7, 200, points.ROWS, points.ROWS + 3]
+SHARED = st.sets(st.sampled_from(sorted(link.shared)), max_size=6)
+N_SIM, NESTED = st.sampled_from([1, 7, 200, points.ROWS, points.ROWS + 3]), [14.5, 14.0, 15.0]  # v_max of quasars
 SEEDS, NONE = st.integers(0, 2**32 - 1), {"satellite_sigma_pm": 0.0, "satellite_sigma_pos": 0.0}  # not measured
 OTHER = points.OTHER | NONE
 RANDOM = {"directions": "random", "epsilon": (1.0, 2.0, 3.0)}
@@ -140,12 +141,14 @@ def test_catalogue_error_is_unknown_for_one_catalogue_and_zero_without_errors():
 @settings(max_examples=examples(25))
 @example([(set(), 30), *(({name}, 30) for name in sorted(link.shared))], 7, 0)
 @example([*(({name, "satellite_errors"}, 30) for name in sorted(link.shared)), ({"omega"}, 40)], 7, 1)
-@given(st.lists(st.tuples(SHARED, st.integers(3, 150)), min_size=1, max_size=4), st.sampled_from(N_SIM), SEEDS)
+@example([(set(), v_max) for v_max in NESTED], 7, 0)
+@given(st.lists(st.tuples(SHARED, st.integers(3, 150) | st.sampled_from(NESTED)), min_size=1, max_size=4), N_SIM, SEEDS)
 def test_no_bit_depends_on_who_shares_the_draw(changes, n_sim, seed):
     drawn = []
-    for names, n_obj in changes:
+    for names, size in changes:
         needed = {"omega_slope"} & {name.removesuffix("_size") for name in names}  # a size needs its direction
-        drawn.append(point(**{"n_obj": n_obj} | {name: OTHER[name] for name in names | needed}))
+        sky = {"n_obj": size} if size not in NESTED else {"catalogue": "quasars", "n_obj": None, "v_max": size}
+        drawn.append(point(**sky | {name: OTHER[name] for name in names | needed}))
     order = np.random.default_rng(seed).permutation(len(drawn)) if seed else range(len(drawn))
     together = link.samples([drawn[k] for k in order], n_sim, *generators())
     for place, k in enumerate(order):

@@ -1,9 +1,7 @@
 """Frames, the design matrix and its solution, unknowns and harmonics; against SciPy, astropy and ERFA."""
 
 import re
-from dataclasses import replace
 
-import erfa
 import numpy as np
 import pytest
 from astropy import units
@@ -83,15 +81,6 @@ def test_exact_differences_lie_far_below_the_floor_of_stored_angles(distance):
         assert np.abs(exact)[:2].max() < 1e-3 * np.abs(stored)[:2].max()  # the rounding of the 80-bit numbers
 
 
-@pytest.mark.parametrize("differences", [exact_differences, stored_differences])
-@pytest.mark.parametrize("ra", [0.0, 1e-12, 2.0 * np.pi - 1e-12, np.nextafter(2.0 * np.pi, 0.0)])
-@pytest.mark.parametrize("turn", [-MAS, MAS])
-def test_difference_in_ra_wraps(differences, ra, turn):
-    zero = np.zeros(1)
-    d_ra = differences(np.array([ra]), zero, zero, zero, np.array([0.0, 0.0, turn]), np.zeros(3))[0, 0]
-    assert abs(d_ra - turn) < 1e-6 * MAS  # the last bit of an angle near 2 pi is 2e-7 mas
-
-
 def test_units_and_the_galactic_axes_are_astropys():
     theirs = [unit.to(units.rad) for unit in (units.mas, units.uas, units.deg, units.arcsec)]
     np.testing.assert_allclose([MAS, frames.MICROARCSEC, frames.DEGREE, frames.ARCSEC], theirs, rtol=1e-14)
@@ -99,15 +88,6 @@ def test_units_and_the_galactic_axes_are_astropys():
     np.testing.assert_allclose(GALACTIC_AXES, xyz.T, atol=0.03 * frames.ARCSEC)  # it has those of FK5, 0.023 arcsec off
     np.testing.assert_allclose(GALACTIC_AXES @ GALACTIC_AXES.T, np.eye(3), atol=1e-15)
     assert np.linalg.det(GALACTIC_AXES) == pytest.approx(1.0, abs=1e-14)
-
-
-@pytest.mark.parametrize("ra", [0.1, 2.5, 6.2])
-@pytest.mark.parametrize("dec", [-1.2, 0.0, 0.8])
-def test_triad_from_erfa_position_and_velocity(ra, dec):
-    _, q, r = triad(np.array(ra), np.array(dec))
-    pv = erfa.s2pv(ra, dec, 1.0, 1.0 / np.cos(dec), 1.0, 0.0)
-    np.testing.assert_allclose(pv["p"], r, atol=1e-15)
-    np.testing.assert_allclose(pv["v"] - q, Rotation.from_rotvec([0, 0, ra]).apply([0, 1, 0]), atol=1e-15)
 
 
 def test_design_matrix_is_the_derivative_of_the_exact_differences():
@@ -172,27 +152,6 @@ def test_degree_1_is_rotation_and_glide():
         for vector, part in zip(vectors, (harmonics[..., :3], harmonics[..., 3:]), strict=True):
             direct = parse_unknowns(vector).matrix(objects) @ rotation
             np.testing.assert_allclose(part @ coefficients, direct, atol=1e-14)
-
-
-def test_a_rate_moves_the_position_of_a_source_with_another_epoch():
-    objects, years = Objects(*sky(5)[:2], *np.zeros((2, 5))), np.array([0.0, 1.0, -2.0, 0.5, 10.0])
-    matrix = parse_unknowns("orientation,spin,glide,vsh_motion:2").matrix(objects, years)
-    np.testing.assert_array_equal(matrix[:, :2, 3:], years[:, None, None] * matrix[:, 3:, 3:])
-    np.testing.assert_array_equal(matrix[:, 3:, :3], 0.0)
-
-
-def test_a_spin_for_each_bin_acts_in_its_bin_alone():
-    objects = Objects(*sky(4))
-    columns = {"mag": np.array([5.0, 6.0, 7.9, 12.0])}
-    unknowns = parse_unknowns("spin", ("mag", [6.0, 8.0]), columns)
-    matrix = unknowns.matrix(replace(objects, columns=columns))
-    plain = parse_unknowns("spin").matrix(objects)
-    assert unknowns.labels[0] == "omega_x[-inf,6)"
-    for source, which in enumerate([0, 1, 1, 2]):
-        expected = np.zeros((5, 9))
-        expected[:, 3 * which : 3 * which + 3] = plain[source]
-        np.testing.assert_array_equal(matrix[source], expected)
-    assert len(parse_unknowns("spin", ("mag", [1.0, 2.0]), columns)) == 3  # bins without sources have no unknowns
 
 
 @pytest.mark.parametrize(("text", "bins", "message"), WRONG_LINES)

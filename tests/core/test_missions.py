@@ -196,13 +196,6 @@ def test_the_closed_form_is_that_of_the_link():
     assert variance[1, 0] == pytest.approx(np.mean(predicted[3:6]), rel=1e-9)
 
 
-def test_equal_errors_on_an_isotropic_sky_give_the_textbook_value():
-    """sigma sqrt(3/(2N)); 116 objects on 500 skies: geometry adds about 1/N = 1 %, the average is good to 0.2 %."""
-    skies = calibrate.draw_skies("galaxies", 500, seed=9)
-    sigma = np.sqrt(calibrate.spin_variance(skies, calibrate.curve_of("gaia", np.array([0.3, 0.0]))).mean())
-    assert sigma == pytest.approx(0.3 * np.sqrt(1.5 / 116), rel=0.012)
-
-
 @pytest.mark.parametrize("model", CALIBRATED)
 def test_the_error_of_a_curve_is_that_of_its_constants(model):
     calibrated, v_mag, step = CALIBRATED[model], np.linspace(5.0, 20.0, 7), 1e-6

@@ -186,24 +186,3 @@ def test_a_floor_dilutes_the_correlations_of_an_object():
     sigma, correlation = objects.errors
     expected = correlation * sigma[:, :, None] * sigma[:, None, :] + np.diag([1.0, 1.0, 4.0, 4.0]) * MAS**2
     np.testing.assert_allclose(result, expected, rtol=1e-12)
-
-
-@pytest.mark.parametrize("reference_errors", ["none", "normal"])
-@pytest.mark.parametrize("weighting", ["inverse-variance", "equal"])
-def test_underestimated_errors_scatter_more_with_the_same_weights(weighting, reference_errors):
-    both = {"satellite_errors": "normal", "reference_errors": reference_errors, "weighting": weighting}
-    honest = point(n_obj=60, epsilon_size=0.0, **both)
-    ratios = {"satellite_error_ratio": 3.0} | ({"reference_error_ratio": 3.0} if reference_errors == "normal" else {})
-    one, other = (points.evaluated(300, p) for p in (honest, honest | ratios))
-    for name, rtol in (("error_products", 2e-5), ("predicted_variance", 1e-9), ("chi2", 1e-5)):
-        np.testing.assert_allclose(other[name], 9.0 * one[name], rtol=rtol, atol=rtol)
-
-
-def test_one_side_underestimated_is_predicted():
-    honest, n_sim = point(n_obj=60, **FLAT), 1000
-    result = points.evaluated(n_sim, honest | {"satellite_error_ratio": 3.0})
-    ratio = result["predicted_variance"][:, :6] / n_sim / points.evaluated(1, honest)["predicted_variance"][:, :6]
-    np.testing.assert_allclose(ratio, 5.0, rtol=1e-9)  # (9 + 1)/(1 + 1)
-    squares = n_sim * np.einsum("pii->pi", result["error_products"]) / result["predicted_variance"][:, :6]
-    assert stats.chi2(n_sim).sf(squares).min() > 1e-4
-    assert stats.chi2(n_sim).cdf(squares).min() > 1e-4

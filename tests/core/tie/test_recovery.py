@@ -11,7 +11,6 @@ from hypothesis import given, strategies as st
 from scipy.linalg import block_diag, lstsq
 from scipy.optimize import brentq
 
-from linksweep.core.fields import terms
 from linksweep.core.frames import MAS, position, triad
 from linksweep.core.tie.astrometry import Astrometry, bends, differences, parallax_factors, propagated
 from linksweep.core.tie.problem import Problem, leave_one_out, solve, source_sums
@@ -140,20 +139,6 @@ def test_it_is_the_least_squares_of_all_tables_with_the_parameters_of_every_star
     np.testing.assert_allclose((solution.covariance - covariance) / np.outer(error, error), 0.0, atol=1e-9)
     assert solution.squares == pytest.approx(np.sum((y - a @ x) ** 2), rel=1e-9)
     assert solution.dof == 5 * len(rows) - 12
-
-
-def test_the_errors_of_vector_harmonics_from_a_uniform_sky():
-    n, sigma, unknowns = 4000, 0.3 * MAS, parse_unknowns("vsh_motion:3")
-    golden, nan = np.arange(n) + 0.5, np.full(n, np.nan)
-    ra, dec = (golden * np.pi * (1.0 + np.sqrt(5.0))) % (2.0 * np.pi), np.arcsin(1.0 - 2.0 * golden / n)
-    values = np.array([ra, dec, *np.zeros((3, n))])
-    errors = np.where(np.arange(5)[:, None] < 3, np.nan, np.full((5, n), sigma))
-    rows = Astrometry(np.where(np.isfinite(errors), values, np.nan), errors, nan)
-    satellite = Astrometry(values, np.zeros((5, n)), nan)
-    solution = solve(source_sums(Problem(satellite, rows, np.arange(n), unknowns, 2016.0)))
-    whole = 4.0 * np.pi * sigma**2 / n
-    orders = np.array([term.order for part in unknowns.blocks[0].parts for term in terms(*part)])
-    np.testing.assert_allclose(np.diag(solution.covariance), np.where(orders == 0, whole, 0.5 * whole), rtol=5e-3)
 
 
 def test_leaving_out_what_determines_an_unknown_is_found_among_many():

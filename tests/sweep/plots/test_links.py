@@ -1,25 +1,23 @@
 """Figures of links and forecasts: what is drawn is what the dataset holds."""
 
+from functools import cache, partial
+from itertools import combinations
+
 import numpy as np
 import pytest
 import xarray as xr
 from astropy import units
 from astropy.coordinates import SkyCoord
-from matplotlib.quiver import Quiver
+from matplotlib.quiver import Quiver, QuiverKey
 from scipy import stats
 
 import linksweep
 from linksweep.sweep.plots import link as sky, style
+from tests.sweep.plots.drawn import assert_shown
 
 
-@pytest.fixture(scope="module")
-def link():
-    return linksweep.tie("psrpi-de200", "timing-de200", "orientation", clip="discrepancy:1", errors="jackknife,scaled")
-
-
-def test_a_link_has_the_figures_that_its_content_allows(link):
-    for kind in ("solution", "residuals", "weight", "ranking"):
-        assert "reference" in linksweep.plot(link, kind).get_suptitle()
+def test_a_figure_that_a_link_cannot_have_is_refused_with_what_it_needs():
+    link = linksweep.tie("psrpi-de200", "timing-de200", "orientation")
     for kind, how in (("spectrum", "--degree"), ("bins", "--bins"), ("lines", "no kind 'lines' of a tie")):
         with pytest.raises(linksweep.SweepError, match=how):
             linksweep.plot(link, kind)
@@ -49,9 +47,11 @@ def residuals(ra, dec, values, errors):
 def test_arrows_point_as_the_sky_does():
     ra, dec = np.array([180.0, 180.0, 320.0, 359.0, 20.0]), np.array([0.0, 0.0, 45.0, -20.0, 70.0])
     values = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 1.0], [0.6, -0.8], [-1.0, 0.3]])
-    axes = linksweep.plot(residuals(ra, dec, values, np.ones((5, 2))), "residuals").axes[0]
+    axes = linksweep.plot(residuals(ra, dec, 0.01 * values, np.ones((5, 2))), "residuals").axes[0]
     _, _, length, angle = arrows(axes)
     np.testing.assert_allclose(length / length[0], np.hypot(*values.T), rtol=1e-9)
+    [key] = axes.findobj(QuiverKey)
+    assert key.label == f"{10.0 * key.U / length[0]:g} µas"
     np.testing.assert_allclose(angle[:2] % 360.0, [180.0, 90.0], atol=0.1)
     assert 0.0 < angle[2] < 80.0  # on the left edge a meridian leans inwards
     (east, north), places = 1e-3 * values.T, np.radians([180.0 - ra, dec])
@@ -76,47 +76,75 @@ def test_many_arrows_are_weighted_means_of_cells_of_equal_area():
     np.testing.assert_allclose(length[whole] / length[0], expected[whole] / expected[0], rtol=1e-9)
 
 
-def test_a_forecast_has_its_epochs_and_ranking():
-    options = {"add": [2026.0, 2030.0], "number": 2, "goal": ["spin"]}
-    plan = linksweep.forecast("psrpi", "psrpi", "orientation,spin", **options)
-    _, right = linksweep.plot(plan).axes[:2]
-    np.testing.assert_allclose(right.lines[0].get_ydata(), 1000.0 * plan.error_with_epoch.values[:, 3])
-    assert "µas/yr" in right.get_ylabel()
-    for criterion, error in (("A", np.positive), ("D", lambda value: np.exp(value / 6))):  # a determinant of 3 x 3
-        plan = linksweep.forecast("psrpi", "psrpi", "orientation,spin", **options, criterion=criterion)
-        bars = [bar.get_width() for bar in linksweep.plot(plan, "ranking").axes[0].patches]
-        now = float(plan.criterion.sel(stage="now"))
-        np.testing.assert_allclose(bars[-1], 100.0 * (1.0 - error(plan.criterion_alone.values.min()) / error(now)))
-    with pytest.raises(linksweep.SweepError, match="--add"):
-        linksweep.plot(linksweep.forecast("psrpi", "psrpi", "orientation"))
+@cache
+def tie():
+    options = {"clip": "discrepancy:1", "errors": "jackknife,scaled", "bins": ("parallax", [3.0])}
+    return linksweep.tie("dr4-gaia", "dr4-vlbi", "orientation,spin", **options)
 
 
-def test_a_separation_is_that_of_rayleigh_where_the_errors_are_right():
-    """The shares beyond X before the fit, and after it beyond the X of two observations that is as rare as Q of n."""
-    link = linksweep.tie("dr4-gaia", "dr4-vlbi", "orientation,spin")
-    [axes] = linksweep.plot(link, "separations").axes
-    used = link.normalised_separation.values > 0.0
-    beyond = stats.chi2.sf(link.discrepancy.values[used], link.n_observations.values[used])
-    wanted = link.normalised_separation.values[used], np.sqrt(stats.chi2.isf(beyond, 2))
-    for line, values in zip(axes.lines, wanted, strict=False):
-        np.testing.assert_allclose(line.get_xdata()[1:], np.sort(values))
+@cache
+def forecast(criterion="A"):
+    options = {"add": [2026.0, 2030.0], "number": 2, "goal": ["spin"], "release": "dr5", "criterion": criterion}
+    return linksweep.forecast("dr4-gaia", "dr4-vlbi", "orientation,spin", **options)
 
 
-def test_the_scatter_without_a_source_is_the_jackknife_error_and_the_band_of_a_trajectory_that_of_each_step(link):
-    x = linksweep.plot(link, "jackknife").axes[0].lines[0].get_xdata()
-    assert np.std(x) == pytest.approx(float(link.errors.sel(error_kind="jackknife")[0]), rel=1e-9)
-    axes = linksweep.plot(link, "trajectory").axes[0]
-    [vertices, *_] = [one.get_paths()[0].vertices for one in axes.collections if one.get_label() == style.ERROR_BAND]
-    for step, (value, error) in enumerate(zip(link.step_estimate[:, 0], link.step_error[:, 0], strict=True)):
-        ends = vertices[vertices[:, 0] == step, 1]
-        np.testing.assert_allclose([ends.min(), ends.max()], [value - error, value + error])
+def of_ranking(plan):
+    now, alone = float(plan.criterion.sel(stage="dr5")), np.sort(plan.criterion_alone)[::-1]
+    gain = alone / now if plan.attrs["criterion"] == "A" else np.exp((alone - now) / 6)  # a determinant of 3 x 3
+    return [[100.0 * (1.0 - gain)], (plan.step_error[:, 3:] / plan.step_error[0, 3:]).values.T]
 
 
-def test_a_significance_is_the_deviation_that_is_as_rare():
-    link = linksweep.tie("icrf3", "icrf2", "orientation,vsh_position:2")
-    lower = linksweep.plot(link, "spectrum").axes[1]
-    for line, probability in zip(lower.lines, link.power_probability.values, strict=False):
-        np.testing.assert_allclose(line.get_ydata(), np.minimum(stats.norm.isf(probability), 10.0), rtol=1e-6)
+def of_sources(kind):
+    """What is shown of the sources that are kept: one of the eight is not."""
+
+    def panels(link):
+        kept, ratio = link.weight_factor.values > 0.0, link.discrepancy / link.n_observations
+        if kind == "weight":
+            return [[one[kept], ratio[kept]] for one in link.share.values.T]
+        order = np.argsort(link.share.values.max(axis=1))[1:]  # the largest is on top
+        if kind == "ranking":
+            return [link.share.values[order].T.reshape(1, -1), [link.cook_distance[order]]]
+        if kind == "separations":  # after the fit the X of two observations that is as rare as Q of n
+            after = np.sqrt(stats.chi2.isf(stats.chi2.sf(link.discrepancy, link.n_observations), 2))
+            steps = [np.append(0.1, np.sort(one)) for one in (link.normalised_separation, after)]
+            return [[*steps, np.append(1.0, np.arange(8, 0, -1) / 8)]]
+        without = link.estimate_without.values[kept]
+        stretched = without.mean(axis=0) + np.sqrt(6.0) * (without - without.mean(axis=0))
+        half = np.sqrt(stats.chi2.ppf(0.683, 2) * np.einsum("ekk->ek", link.covariances))
+        pairs = (list(pair) for block in ([0, 1, 2], [3, 4, 5]) for pair in combinations(block, 2))
+        return [[*stretched[:, pair].T, *half[:, pair]] for pair in pairs]
+
+    return panels
+
+
+BLOCKS = slice(0, 3), slice(3, 6)
+FIGURES = {  # of a dataset, and what their panels show of it
+    "solution": (tie, lambda d: [[d.estimate[b], *d.errors[:, b]] for b in BLOCKS]),
+    "bins": (tie, lambda d: [[*d.spin_by_bin.T, *d.spin_by_bin_error.T]]),
+    "trajectory": (
+        tie,
+        lambda d: [*([*d.step_estimate[:, b].T, *d.step_error[:, b].T] for b in BLOCKS), [d.step_chi2 / d.step_dof]],
+    ),
+    **{kind: (tie, of_sources(kind)) for kind in ("weight", "ranking", "separations", "jackknife")},
+    "spectrum": (
+        lambda: linksweep.tie("icrf3", "icrf2", "orientation,vsh_position:2"),
+        lambda d: [np.sqrt([*d.power, *d.power_noise]), np.minimum(stats.norm.isf(d.power_probability), 10.0)],
+    ),
+    "epochs": (
+        forecast,
+        lambda d: [[*d.error_with_epoch[:, b].T, *np.tile(d.error.values[:, b].reshape(-1, 1), 2)] for b in BLOCKS],
+    ),
+    **{f"ranking {which}": (partial(forecast, which), of_ranking) for which in "AD"},
+}
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_each_panel_shows_the_numbers_of_the_dataset_in_its_unit(name):
+    make, wanted = FIGURES[name]
+    figure = linksweep.plot(make(), name.split()[0])
+    assert "dr4" in figure.get_suptitle() or "icrf" in figure.get_suptitle()
+    for axes, values in zip(figure.axes, wanted(make()), strict=True):
+        assert_shown(axes, values)
 
 
 def test_right_ascension_grows_to_the_left_and_the_galactic_plane_is_that_of_astropy():

@@ -8,6 +8,7 @@ import sys
 import numpy as np
 import pytest
 import xarray as xr
+from astropy.units import Unit
 
 import linksweep
 from linksweep.sweep.analysis.answer import answers, completeness
@@ -83,14 +84,19 @@ def test_before_a_value_exists_nothing_is_concluded(dataset_of, undone):
 def test_the_view_holds_the_numbers_of_the_dataset_in_their_order(results):
     actual, used, left_out = explorer(results, ["sigma_spin"], 10**6)
     assert left_out == []
-    quantity = actual["quantities"][0]
-    order = [axis["name"] for axis in actual["axes"] if axis["name"] in results["sigma_spin"].dims]
-    error = np.hypot(results["sigma_spin_mc_error"], results["sigma_spin_catalogue_error"])
-    wanted = {"value": results["sigma_spin"], "error": error, "published": results["sigma_spin_published"]}
-    for name, array in wanted.items():
-        values = array.transpose(*order).values.ravel()
-        assert np.array(quantity[name], dtype=float) == pytest.approx(values, rel=1e-14, nan_ok=True)
-    assert None in quantity["published"]
+    for view in actual["quantities"]:
+        stored, shown = results[view["name"]].attrs.get("units", ""), view.get("units", [view["unit"]])
+        both = [] if "(" in stored else zip(stored.split(","), shown, strict=True)  # a matrix is as it is
+        factors = [Unit(one.strip()).to(other) for one, other in both] or 1.0
+        suffixes = {"value": "", "error": "_mc_error", "predicted": "_rms_predicted", "published": "_published"}
+        for part, suffix in ((part, suffix) for part, suffix in suffixes.items() if part in view):
+            name = view["name"] + (suffix if view["name"] + suffix in results else "_predicted")
+            array = results[name].transpose(*view["dims"])
+            if part == "error":
+                array = np.hypot(array, results.get(f"{view['name']}_catalogue_error", 0.0))
+            values = np.array(view[part], dtype=float).reshape(array.shape)
+            np.testing.assert_allclose(values, factors * array, rtol=1e-12, err_msg=view["name"])
+    assert (actual["quantities"][0]["name"], None in actual["quantities"][0]["published"]) == ("sigma_spin", True)
     parts = ("value", "error", "predicted", "published", "published_rounding")
     assert used == sum(len(q[part]) for q in actual["quantities"] for part in parts if part in q)
 

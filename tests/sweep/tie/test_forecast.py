@@ -162,14 +162,6 @@ def in_a_study(folder, satellite, reference, **fixed):
     return result.sigma_predicted.values.ravel()[:6]
 
 
-def test_a_study_scales_from_the_same_release(folder):
-    tables = folder / "dr4.fits", folder / "reference.fits"
-    predicted = in_a_study(folder, *tables, release="dr5")
-    np.testing.assert_allclose(predicted, errors_by_hand(folder, "dr4", "dr4", "dr5"), rtol=1e-9)
-    with pytest.raises(SweepError, match="are those of dr4"):
-        in_a_study(folder, *tables, release="dr5", from_release="dr3")
-
-
 @pytest.mark.parametrize("jitter", [slow(""), slow("position=0.2:0.02")])
 def test_new_positions_of_quasars_are_mean_ones_that_hold_at_any_epoch(tmp_path, jitter):
     quasars = replace(stars(12, 5, pm=0.0, parallax=0.0), radial_velocity=np.zeros(12))
