@@ -45,6 +45,7 @@ if TYPE_CHECKING:
 FILE = click.Path(path_type=Path)
 
 WORKERS = click.IntRange(1, MOST_WORKERS)
+POSITIVE = click.FloatRange(0.0, min_open=True)
 
 At = tuple[str, ...]
 

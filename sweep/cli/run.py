@@ -20,7 +20,7 @@ import click
 
 import linksweep
 from linksweep.sweep import cli
-from linksweep.sweep.cli import FILE, JSON, WORKERS, arg, choice, flag, many, opt, parsed, passed
+from linksweep.sweep.cli import FILE, JSON, POSITIVE, WORKERS, arg, choice, flag, many, opt, parsed, passed
 from linksweep.sweep.executing.pools import DEFAULT_POOL, POOLS, PoolName, Resources
 from linksweep.sweep.formatting import COMMAND, counted, harmless, in_words, meaning_beside, to_json, typed
 from linksweep.sweep.interrupt import RunInterruptedError
@@ -71,7 +71,7 @@ def resources(
     tls_cert: Path | None = opt("For a tls:// scheduler: our certificate.", type=EXISTING),
     tls_key: Path | None = opt("For a tls:// scheduler: our key.", type=EXISTING),
     cluster: Path | None = opt("Use the Dask cluster that this TOML or YAML file describes.", type=EXISTING),
-    time_limit: float | None = opt("A block that takes longer fails.", type=float, metavar="SECONDS"),
+    time_limit: float | None = opt("A block that takes longer fails.", type=POSITIVE, metavar="SECONDS"),
     memory_limit: int | None = opt(
         "A block that needs more fails, e.g. 2GB.  [default: an equal share each]", metavar="BYTES", callback=_bytes
     ),
@@ -264,7 +264,7 @@ def refine(
     goal: Any = cli.passed(
         find=opt('The condition to locate, e.g. "sigma_spin < 0.6 mas/yr".', metavar="CONDITION"),
         until=opt('How exact values between points are to be: "error < 0.002".', metavar="CONDITION"),
-        within=opt("How closely to locate it, in the unit of the axis.", type=float, metavar="WIDTH"),
+        within=opt("How closely to locate it, in the unit of the axis.", type=POSITIVE, metavar="WIDTH"),
         along=opt("The axis that gets points.  [default: the only one with several numbers]"),
         variable=opt("With --until: what to interpolate.  [default: the main result]"),
         most=opt("The most in all.  [default: see docs/refine.md]", "--max-realisations", type=click.IntRange(1)),
