@@ -140,12 +140,15 @@ class Problems:
 
     @contextmanager
     def at(self, place: KeyPath, before: str = "") -> Iterator[None]:
-        """Take the message of a ValueError or SweepError as problems of a place, with the text ``before`` it."""
+        """Take the message of a ValueError or SweepError as problems of a place, with the text ``before`` it; without
+        one, with the place that the error itself is about.
+        """
         try:
             yield
         except (SweepError, ValueError) as error:
-            for problem in error.problems if isinstance(error, SweepError) else [error]:
-                self.add(place, f"{before}{problem}")
+            problems, where = (error.problems, error.where) if isinstance(error, SweepError) else ([str(error)], "")
+            for problem in problems:
+                self.add(place, f"{before or (where and f'{where}: ')}{problem}")
 
     def report(self) -> None:
         """Raise SweepError with all problems, if there are any: those of the file in the order of its lines."""

@@ -530,11 +530,8 @@ class _Reader:
         experiment = None
         reference = self.document.get("experiment", DEFAULT_EXPERIMENT)
         if isinstance(reference, str):  # else the form says what is wrong
-            try:
+            with self.problems.at(("experiment",)):
                 experiment = self.code.experiment(reference, self.folder)
-            except SweepError as error:
-                for problem in error.problems:
-                    self.problems.add(("experiment",), f"{error.where}: {problem}" if error.where else problem)
         # Without sampling, --set seed=3 means a parameter of that name.
         is_sampled = experiment is None or not experiment.deterministic
         names = [] if experiment is None or is_sampled else [one.name for one in experiment.parameters]
