@@ -472,7 +472,11 @@ class _Harmless:
         self.unescaped = stream
 
     def write(self, text: str) -> int:
-        self.unescaped.write(harmless(text))
+        shown = harmless(text)
+        if self.isatty() and self.fileno() == 2:  # sentences; tables fit, or have no more room
+            width = columns(self)
+            shown = "\n".join(in_lines(one, width) if len(one) > width else one for one in shown.split("\n"))
+        self.unescaped.write(shown)
         return len(text)
 
     def __getattr__(self, name: str) -> Any:
@@ -538,22 +542,28 @@ def wrote(path: object, more: str = "") -> None:
     click.echo(f"wrote {str(path).translate(ESCAPED)}{more}", err=True)
 
 
-def columns() -> int:
-    """Return the width of the terminal, that of sentences where it has none or there is no terminal: a file has the
-    same bytes whatever terminal the command was typed in.
+def columns(stream: Any = None) -> int:
+    """Return the width of the terminal of a stream, by default of results, that of sentences where it has none or there
+    is no terminal: a file has the same bytes whatever terminal the command was typed in.
     """
-    if not RESULTS[0].isatty():
+    stream = stream or RESULTS[0]
+    if not stream.isatty():
         return WIDTH
-    return max(NARROWEST, shutil.get_terminal_size(os.get_terminal_size(RESULTS[0].fileno())).columns or WIDTH)
+    return max(NARROWEST, shutil.get_terminal_size(os.get_terminal_size(stream.fileno())).columns or WIDTH)
+
+
+def in_lines(text: str, width: int, first: str = "", later: str = "") -> str:
+    """Return a sentence in lines of a width, the first and the later ones behind a prefix; no word is broken, since it
+    may be a name.
+    """
+    wrapper = textwrap.TextWrapper(width, first, later, replace_whitespace=False)
+    wrapper.break_long_words = wrapper.break_on_hyphens = False
+    return wrapper.fill(text)
 
 
 def print_wrapped(text: str, first: str = "", later: str = "", **style: bool) -> None:
-    """Print a sentence in a style and in lines of the width of a terminal, the first and the later ones behind a
-    prefix; no word is broken, since it may be a name.
-    """
-    wrapper = textwrap.TextWrapper(min(WIDTH, columns()), first, later, replace_whitespace=False)
-    wrapper.break_long_words = wrapper.break_on_hyphens = False
-    print_styled(wrapper.fill(text), **style)
+    """Print a sentence in a style and in lines of the width of a terminal, as `in_lines` has them."""
+    print_styled(in_lines(text, min(WIDTH, columns()), first, later), **style)
 
 
 def _has_styles() -> bool:

@@ -355,8 +355,9 @@ class TerminalProgress(Progress):
         self._write("started", points=total.points, done=self._count.done, failed=survey.failed, where=where)
         self._work, self._stored = pending.cost, survey.stored.cost / max(total.cost, 1e-9)
         kept = f", {self._count.done:,} of them in the store already" if self._count.done else ""
-        to_do = f"; {self._counted(pending)} to do {where}" if pending.blocks else ""
-        self.say(f"{counted(total.points, 'point')}{kept}{failed_before(survey.failed)}{to_do}")
+        whole = f"{counted(total.points, 'point')}{kept}{failed_before(survey.failed)}"
+        to_do = f"{self._counted(pending)} to do {where}" if pending.blocks else ""
+        self.say(to_do if to_do.startswith(f"{whole} ") else "; ".join(filter(None, [whole, to_do])))
         if self._with_bar and pending.blocks:
             self._bar.start()
 
@@ -478,17 +479,19 @@ class TerminalProgress(Progress):
         share = f" ({100.0 * self._share():.0f} % of the work)" if self._work > 0.0 and not self._once else ""
         left = self._eta.left(time.monotonic(), self._work - self._done.cost)
         time_left = [] if left is None else [f"about {in_words(left)} left"]
-        return ", ".join([f"{self._count}{share}", *time_left, self._speed(self._elapsed())])
+        speed = [self._speed(self._elapsed())] if self._done.blocks else []
+        return ", ".join([f"{self._count}{share}", *time_left, *speed])
 
     def __rich__(self) -> Table:
         """Return the bar and its line, with what failed in red and the first reason as far as there is room."""
-        line = Text(self._line(), no_wrap=True, overflow="ellipsis")
+        is_wide = self._console.width >= NARROW  # else what does not fit goes on in the next line
+        line = Text(self._line(), no_wrap=is_wide, overflow="ellipsis")
         line.highlight_regex(r"[\d,]+ failed", "bold red")
         if first := next(iter(self._count.reasons.first.values()), None):
             line.append(harmless(f"; {short(first[1])}"), style="red")
         grid = Table.grid(padding=(0, 1))
         bar = ProgressBar(1.0, self._share(), width=24)
-        grid.add_row(*([bar] if self._console.width >= NARROW else []), line)
+        grid.add_row(*([bar] if is_wide else []), line)
         return grid
 
 

@@ -79,7 +79,8 @@ def test_json_is_exact(folder, sweep):
 
 
 @pytest.mark.parametrize(
-    ("look", "kind"), [("show", "dumb"), *(slow(x, "xterm") for x in ("show", "compare", "status"))]
+    ("look", "kind"),
+    [("show", "dumb"), ("all-the-results", "dumb"), *(slow(x, "xterm") for x in ("show", "compare", "status"))],
 )
 def test_a_terminal_gets_styles_of_ours_alone(folder, look, kind):
     (ours, theirs), said = pty.openpty(), b""
@@ -93,6 +94,7 @@ def test_a_terminal_gets_styles_of_ours_alone(folder, look, kind):
     os.close(ours)
     text = said.decode()
     assert look != "show" or (("\x1b" in text) == (kind == "xterm") and "left out to fit 40 columns:" in text)
+    assert look != "all-the-results" or "command\r\n'all-the-results'" in text  # no word is broken
     assert not controls_in(OURS.sub("", text))
     assert "31m" not in text.replace("u001b[31m", "")
 

@@ -113,7 +113,7 @@ def test_the_command_line_runs_grows_fails_retries_and_reproduces_points(tmp_pat
     (tmp_path / "model.py").write_text(FILE)
     (tmp_path / "t.csv").write_text(table)
     report, err = asked("run", *study, code=1)
-    assert "1 point failed: ValueError: three, at x=0.25,k=3" in err
+    assert (err[:14], "1 point failed: ValueError: three, at x=0.25,k=3" in err) == ("2 points to do", True)
     rows = [(row["point"], row["y"], row["status"]) for row in report["rows"]]
     assert rows == [(0, 1.0, "done"), (1, None, "failed"), (2, 1.0, "done")]
     (tmp_path / "t.csv").write_text(table + "2.0,7\n")
