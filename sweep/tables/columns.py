@@ -475,8 +475,10 @@ def _written(value: Any) -> str:
 
 def _factor(unit: Any, wanted: str, right_ascension: bool) -> float | None:
     """Return the factor from one unit to another, None if there is none; an hour of right ascension is 15 deg."""
-    from astropy.units import Unit, UnitsError, hour, hourangle
+    from astropy.units import DexUnit, Unit, UnitsError, hour, hourangle
 
+    if isinstance(unit, DexUnit):  # as CDS has it, [mas] is the logarithm
+        return None
     for as_angle in (False, True) if right_ascension else (False,):
         try:
             return float((unit * hourangle / hour if as_angle else unit).to(Unit(wanted)))

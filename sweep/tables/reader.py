@@ -177,6 +177,10 @@ def _votable(content: bytes) -> Any:
 
 
 def _ecsv(content: bytes) -> Any:
+    header = next((line for line in io.StringIO(content.decode("utf-8", "replace")) if line[0] != "#"), "")
+    names = next(csv.reader([header.strip()], delimiter="," if b"# delimiter: ','" in content else " "), [])
+    if again := [name for k, name in enumerate(names) if name in names[:k]]:
+        raise SweepError(f"two columns are called {again[0]!r}")
     with suppress(SweepError):  # without pyarrow, or with what the other reader explains; that takes ten times as long
         return _by_astropy("ecsv", io.BytesIO(content), engine="pyarrow", null_values=["", "null"])
     gaps = [("", "0"), ("null", "0")]
@@ -389,10 +393,10 @@ def _are_units(fields: Sequence[str], lines: Sequence[str], delimiter: str) -> b
 
 
 def has_unit(column: Any) -> bool:
-    """Return whether a column of an astropy Table has a unit that astropy knows."""
-    from astropy.units import UnrecognizedUnit
+    """Return whether a column of an astropy Table has a unit that astropy knows, and no logarithm, as CDS has [mas]."""
+    from astropy.units import DexUnit, UnrecognizedUnit
 
-    return str(column.unit or "") != "" and not isinstance(column.unit, UnrecognizedUnit)
+    return str(column.unit or "") != "" and not isinstance(column.unit, (DexUnit, UnrecognizedUnit))
 
 
 def _unit(text: str, strict: str = "silent") -> Any:

@@ -55,6 +55,8 @@ FAR_DEG, FARTHEST_DEG = 10.0 / 3600.0, 1.0
 
 ARE_RIGHT = "are the names, the epochs, and the frame and units of the positions right?"
 
+COARSE_EPOCHS = "the epoch has too few digits for the motion of the star and the errors of the position"
+
 # Rows of a source within two days may be the same measurement.
 SAME_EPOCH_YR = 0.005
 
@@ -228,7 +230,7 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
     names = _names(left, tables[SIDES[1]], matches[0])[sources]
     stars = replace(_taken(left.astrometry, sources), names=names)
     rows, source = parts[0] if len(parts) == 1 else core.joined(*parts), np.searchsorted(sources, source)
-    notes += _resting(stars, rows, source)
+    notes += _without_parallax(stars, rows, source)
     stars = satellite_at_rest(stars, rows, source)
     epoch = default_epoch(stars.epoch) if options.epoch is None else options.epoch
     problem = Problem(stars, rows, source, Unknowns(()), epoch, options.weights, tables=tuple(tables)[1:])
@@ -256,9 +258,12 @@ def _names(left: AstrometricTable, reference: AstrometricTable, matched: "Match"
     return names.astype(np.str_)
 
 
-def _resting(stars: Astrometry, rows: Astrometry, source: Indices) -> list[str]:
-    """Return a note if single-epoch positions are of sources without parallaxes and motions, like quasars."""
+def _without_parallax(stars: Astrometry, rows: Astrometry, source: Indices) -> list[str]:
+    """Return notes if single-epoch positions are of sources without parallaxes, or like quasars without motions too."""
     observed = np.unique(source[core.kind_numbers(rows) == core.SINGLE_EPOCH])
+    if len(absent := observed[stars.present[3, observed] & ~stars.present[2, observed]]):
+        said = f"no parallax of {first_of(np.asarray(stars.names)[absent].tolist(), 5)}"
+        return [f"{said}: it displaces their positions of a single epoch, and counts as unknown"]
     if len(observed) < 5:
         return []
     values, errors = (one[2:, observed][stars.present[2:, observed]] for one in (stars.values, stars.errors))
@@ -478,10 +483,24 @@ def match_notes(satellite: AstrometricTable, table: AstrometricTable, matched: M
         (ambiguous, f"several sources are within the radius ({pairs}); the nearest is taken"),
         (exact, "the same numbers as another row of the source; all are used"),
         (nearly, "nearly the numbers of another row of the source; one measurement that is there twice counts twice"),
+        (_coarse_epochs(satellite.astrometry, table, matched, rows), COARSE_EPOCHS),
     ):
         if len(places):
             notes.append(f"{named_rows(places)} of {name}: {what}")
     return notes
+
+
+def _coarse_epochs(stars: Astrometry, table: AstrometricTable, matched: Match, rows: Astrometry) -> Indices:
+    """Return the numbers of the rows of a single epoch that is rounded too much for the motions of their stars."""
+    if not table.columns:  # built-in tables are as they were published
+        return matched.rows[:0]
+    values = np.nan_to_num(stars.values[2:, matched.source])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        years = np.nanmin(rows.errors[:2], axis=0, initial=np.inf) / (np.hypot(*values[1:]) + 2.0 * np.pi * values[0])
+    years[(years <= 0.0) | (years > 0.5) | (core.kind_numbers(rows) != core.SINGLE_EPOCH)] = np.nan
+    days = (rows.epoch - 2000.0) * core.DAYS_PER_YEAR + 51544.5
+    in_days = files.rounded(days, 2.0 * years * core.DAYS_PER_YEAR, (0.25, 0.5, 1.0))  # half the last decimal
+    return matched.rows[np.union1d(in_days, files.rounded(rows.epoch, 2.0 * years, (1.0,)))]
 
 
 def _repeated(matched: Match, rows: Astrometry) -> list[Indices]:

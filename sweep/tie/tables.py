@@ -51,8 +51,9 @@ FASTEST_KM_S = 5000.0
 # Positions that are rounded by more than this fraction of their errors are too coarse.
 COARSE = 0.1
 
-# By how much, in units of the last decimal, numbers may differ from rounded ones.
+# By how much, in units of the last decimal, numbers may differ from rounded ones; and the units of angles.
 LIKE_ROUNDED = 1e-3
+ANGLES = (1.0, DEGREE, ARCSEC, 15.0 * ARCSEC)
 
 # By how much a correlation in a column may differ from that in corr_vec, rounded to two decimals.
 ROUNDED = 0.01
@@ -61,7 +62,7 @@ ROUNDED = 0.01
 TYPICAL = (0.005, 300.0)
 
 # No telescope has errors that differ by more between the coordinates, nor, in a year, between motions and positions.
-UNEQUAL = {(0, 1): 100.0, (3, 4): 100.0, (3, 0): 500.0, (4, 1): 500.0}
+UNEQUAL = {(0, 1): 10.0, (3, 4): 10.0, (3, 0): 500.0, (4, 1): 500.0}
 
 # Errors of the positions of calibrators, mas.
 CALIBRATORS = (0.005, 50.0)
@@ -416,9 +417,9 @@ def _check_positions(read: Columns, values: Array, errors: Array) -> None:
             size = np.abs(row) * (np.cos(values[1]) if name == "ra" else 1.0)
             what = f"positions in single precision (column {column!r}), too coarse for their errors,"
             read.check(size * 2.0**-24 > COARSE * error, what)
-        elif is_position and len(rounded := _rounded(row, error / np.cos(values[1] * (name == "ra")))):
+        elif is_position and len(lost := rounded(row, error / np.cos(values[1] * (name == "ra")), ANGLES)):
             what = f"{name} is written with a last decimal that is worth more than its error"
-            read.notes.append(f"{what}: were digits lost? {core.named_rows(rounded)}")
+            read.notes.append(f"{what}: were digits lost? {core.named_rows(lost)}")
         read.check(np.isfinite(error) & ~np.isfinite(row), f"an error but no value of {name}")
 
 
@@ -431,16 +432,16 @@ def _in_single_precision(read: Columns, name: str) -> bool:
     return not few and np.array_equal(values, values.astype(np.float32))
 
 
-def _rounded(angle: Array, error: Array) -> Indices:
-    """Return the rows of angles (N,) whose last decimal, in any usual unit, is worth more than their errors."""
-    angle, error = angle[:10_000], error[:10_000]  # which tell of a million
-    rounded = np.zeros(len(angle), dtype=bool)
+def rounded(values: Array, errors: Array, units: Iterable[float]) -> Indices:
+    """Return the rows of values (N,) whose last decimal, in any of some units, is worth more than their errors."""
+    values, errors = values[:10_000], errors[:10_000]  # which tell of a million
+    at = np.zeros(len(values), dtype=bool)
     with np.errstate(invalid="ignore", divide="ignore"):
-        for unit in (1.0, DEGREE, ARCSEC, 15.0 * ARCSEC):
-            step = unit / 10.0 ** np.floor(np.log10(unit / (1.01 * error)))  # a value like 0.12(1) is well written
-            rounded |= np.abs(angle / step - np.round(angle / step)) < LIKE_ROUNDED
-    # some angles are round by chance
-    return np.flatnonzero(rounded) if np.count_nonzero(rounded) > 1 + 0.1 * len(angle) else np.zeros(0, dtype=np.int64)
+        for unit in units:
+            step = unit / 10.0 ** np.floor(np.log10(unit / (1.01 * errors)))  # a value like 0.12(1) is well written
+            at |= np.abs(values / step - np.round(values / step)) < LIKE_ROUNDED
+    # some values are round by chance
+    return np.flatnonzero(at) if np.count_nonzero(at) > 1 + 0.1 * len(at) else np.zeros(0, dtype=np.int64)
 
 
 def _accelerations(read: Columns, five: Flags, options: TableOptions) -> Array | None:
@@ -784,6 +785,8 @@ def with_observations(
         raise SweepError(problems, where)
     *origin, _ = of_star.first().to_numpy().T
     blank = np.isnan(origin).any(axis=0)
+    without = f"without ra0 and dec0 transits are relative to the row: {first_of(names[rows][blank].tolist(), 5)}"
+    notes += [without] * bool(blank.any())
     if np.any(other := blank & (stars.epoch != epoch)):
         said = f"the observations are from positions at {epoch:g}, and the rows have those at {stars.epoch[other][0]:g}"
         raise SweepError(f"{said}: take the table of the same release, or files with ra0 and dec0", left.path)

@@ -336,8 +336,9 @@ def test_stars_without_observations_and_strangers_are_named(tmp_path):
     lost = f"{np.sum(sky.scans['used_by_agis_al'][-2:])} observations have no parallax_factor_al .* row 143, 144"
     assert re.search(lost, " ".join(link.attrs["notes"]))
     no_source = "no source 77, of which there are observations"
+    without = f"without ra0 and dec0 transits are relative to the row: {star[-1]}"
     no_observations = "no observations of 100000000000000000, which keep their rows"
-    assert all(words in " ".join(link.attrs["notes"]) for words in (no_source, no_observations))
+    assert all(words in " ".join(link.attrs["notes"]) for words in (no_source, no_observations, without))
     assert link.path.values.tolist() == sky.satellite["source_id"].astype(str)[1:].tolist()
     assert link.path_model.values.tolist() == ["7"] * 4 + ["5"]
 
