@@ -11,7 +11,7 @@ from pathlib import Path
 from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.running.progress import Eta, Progress
 from linksweep.sweep.running.run import run_study
-from linksweep.sweep.studies.reader import study_from_dict
+from linksweep.sweep.studies.reader import live_study
 
 STUDIES = {
     "quasars brighter and fainter, cheap to dear": {
@@ -47,7 +47,7 @@ class Recorded(Progress):
 def main(n_sim: int) -> None:
     """Print estimated against true seconds left at some shares of the work."""
     for name, document in STUDIES.items():
-        study = study_from_dict({"title": name, **document, "sampling": {"n_sim": n_sim, "n_cat": 20, "seed": 1}})
+        study = live_study({"title": name, **document, "sampling": {"n_sim": n_sim, "n_cat": 20, "seed": 1}})
         for resources in (Resources(pool="serial"), Resources(workers=2, pool="processes")):
             with tempfile.TemporaryDirectory() as folder:
                 watched = Recorded()

@@ -30,7 +30,7 @@ OURS = """
 import sys, tempfile, time
 from pathlib import Path
 from benchmarks.trivial import FUNCTION, study
-from linksweep.sweep.studies.reader import study_from_dict
+from linksweep.sweep.studies.reader import live_study
 from linksweep.sweep.executing.pools import Resources
 from linksweep.sweep.running.progress import Progress
 from linksweep.sweep.running.run import run_study
@@ -48,7 +48,7 @@ if __name__ == "__main__":
         clock = Clock()
         chosen = Resources(workers=2, pool=pool) if pool == "processes" else Resources(pool="serial")
         document = study(points) | ({"experiment": FUNCTION, "sampling": {}} if pool == "function" else {})
-        dataset, failures = run_study(study_from_dict(document), Path(folder) / "s.zarr", chosen, clock)
+        dataset, failures = run_study(live_study(document), Path(folder) / "s.zarr", chosen, clock)
         assert not failures and dataset.attrs["points_done"] == dataset.attrs["points"]
         print(dataset.attrs["points"] / clock.seconds, dataset.attrs["points"] / clock.cpu)
 """

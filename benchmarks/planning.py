@@ -47,12 +47,12 @@ def plan(name: str, n: int) -> None:
     """Plan one study as `sweep plan` does, and print what it took."""
     from linksweep.sweep.code import load_experiment
     from linksweep.sweep.running.run import plan_study
-    from linksweep.sweep.studies.reader import study_from_dict
+    from linksweep.sweep.studies.reader import live_study
 
     load_experiment("linksweep.core.experiment:link")  # what is imported is not planned
     begun = time.process_time()
     with TemporaryDirectory() as folder:
-        result, _ = plan_study(study_from_dict(document(name, n)), Path(folder) / "none.zarr")
+        result, _ = plan_study(live_study(document(name, n)), Path(folder) / "none.zarr")
     seconds = time.process_time() - begun
     peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     points = len(result.grid)

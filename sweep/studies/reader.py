@@ -327,16 +327,6 @@ def load_study(
     return _Reader(document, text, path.absolute(), function or str(path), Overrides(written), Code()).study()
 
 
-def study_from_dict(
-    document: Mapping[str, Any], name: str = "study", where: str | None = None, code: Code | None = None
-) -> Study:
-    """Return the study that a mapping of the same shape as the TOML file describes; raises SweepError, which says
-    ``where``, as `load_study`.
-    """
-    path = Path.cwd() / f"{name}.toml"
-    return _Reader(dict(document), "", path, str(path) if where is None else where, Overrides(), code or Code()).study()
-
-
 def study_of_attributes(attributes: Mapping[str, Any], where: str, code: Code) -> Study:
     """Return the study whose results have these attributes; raises SweepError as `load_study`, for example where the
     file of its experiment is gone.
@@ -372,7 +362,7 @@ def study_of_function(function: Mentioned | str, **options: Any) -> Study:
 
 
 def live_study(document: Mapping[str, Any]) -> Study:
-    """Return the study that a mapping of the shape of a study file describes.
+    """Return the study that a mapping of the shape of a study file describes; raises SweepError as `load_study`.
 
     Its experiment may be a function or an `Experiment`, its axes may be arrays, ranges or pandas indexes, its points a
     table, and it needs no title.  Two such studies have the same name only where they are about the same function and
@@ -393,7 +383,8 @@ def live_study(document: Mapping[str, Any]) -> Study:
     with suppress(ValueError):
         known = json.dumps(written, sort_keys=True, default=lambda one: repr(labelled(one, otherwise="object")))
         digest = hashlib.sha256(known.encode()).hexdigest()
-    return study_from_dict(written, f"{name}-{digest[:8]}", "", Code(afresh=isinstance(function, str)))
+    path, code = Path.cwd() / f"{name}-{digest[:8]}.toml", Code(afresh=isinstance(function, str))
+    return _Reader(written, "", path, "", Overrides(), code).study()
 
 
 class _Reader:

@@ -26,7 +26,7 @@ from linksweep.sweep.stores.integrity import MANIFEST, checksum, sealed, unseale
 from linksweep.sweep.stores.ledger import file_of, path_of
 from linksweep.sweep.stores.location import Folder, Holder, holder, located, locked, short_name, store_named
 from linksweep.sweep.stores.store import OpenStore, Store, check, chunk_checksums, create_store, repair
-from linksweep.sweep.studies.reader import load_study, study_from_dict
+from linksweep.sweep.studies.reader import live_study, load_study
 from linksweep.sweep.studies.record import begun_by, provenance
 from linksweep.sweep.studies.study import POINT, POINT_TABLE
 from linksweep.sweep.table_writer import Column, Table
@@ -46,7 +46,7 @@ def run(document, store, tuning=None, **options):
     if tuning is None and not options:
         return linksweep.run(document, store, pool="serial")
     with patch.multiple(TUNED, **(tuning or {})) if tuning else nullcontext():
-        return run_study(study_from_dict(document), store, SERIAL, **options)[0]
+        return run_study(live_study(document), store, SERIAL, **options)[0]
 
 
 def bare(results):
@@ -124,13 +124,13 @@ def until_done(left, steps, call, between=lambda: None):
 
 
 def existing_store(where, study):
-    study = study_from_dict(study) if isinstance(study, dict) else study
+    study = live_study(study) if isinstance(study, dict) else study
     actual = find_store(where, study)
     return None if actual is None else open_store(actual, study)
 
 
 def create_or_resume(where, document):
-    study = study_from_dict(document)
+    study = live_study(document)
     opened = find_store(where, study) or create_store(where, provenance(study) | begun_by() | identity(study))
     store = open_store(opened, study, writes=True)
     store.keep_copy()

@@ -12,10 +12,10 @@ from linksweep.sweep.cli import main
 from linksweep.sweep.contract import Status
 from linksweep.sweep.report.page import report_of, report_page
 from linksweep.sweep.result import Result
-from linksweep.sweep.studies.reader import study_from_dict
+from linksweep.sweep.studies.reader import live_study
 from linksweep.sweep.studies.study import printed_rounding
 
-__all__ = ["answers", "compare", "report_of", "report_page", "study_from_dict"]
+__all__ = ["answers", "compare", "live_study", "report_of", "report_page"]
 N = np.array([10.0, 20.0, 50.0, 100.0, 300.0])
 MISSING, DONE, FAILED, EXCLUDED = Status.MISSING, Status.DONE, Status.FAILED, Status.EXCLUDED
 

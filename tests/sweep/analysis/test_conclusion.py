@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import linksweep
-from tests.sweep.analysis.made import DONE, FAILED, MISSING, answers, grid, study_from_dict
+from tests.sweep.analysis.made import DONE, FAILED, MISSING, answers, grid, live_study
 
 AT = {"model": "gaia", "v_max": 20.0}
 GAIA = {"value": {"variable": "sigma_spin", "at": AT}}
@@ -34,7 +34,7 @@ def said(dataset):
 def concluding(dataset, *sentences, grid=None, **values):
     study = {"title": "t", "axes": {"model": ["amex", "gaia"], "v_max": [14.0, 20.0, 21.0]}}
     study |= {"conclusion": {"sentences": list(sentences), "values": values}, "fixed": {"catalogue": "quasars"}}
-    return said(dataset.assign_attrs(conclusion=study_from_dict(study | (grid or {})).conclusion.model_dump_json()))
+    return said(dataset.assign_attrs(conclusion=live_study(study | (grid or {})).conclusion.model_dump_json()))
 
 
 ANY = {"value": {"variable": "sigma_spin"}}

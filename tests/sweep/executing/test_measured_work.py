@@ -12,7 +12,7 @@ from linksweep.sweep.contract import SweepError
 from linksweep.sweep.executing import clusters, executor, worker
 from linksweep.sweep.executing.clusters import own_cluster, run_on_worker
 from linksweep.sweep.executing.pools import ANY_RESOURCES, POOLS, Limits, Resources
-from tests.sweep.opening import SERIAL, Sentences, existing_store, rows_on_disk, run_study, same, study_from_dict
+from tests.sweep.opening import SERIAL, Sentences, existing_store, live_study, rows_on_disk, run_study, same
 from tests.sweep.outside import wait_until
 from tests.tiers import slow
 
@@ -39,7 +39,7 @@ def test_what_is_finished_is_kept_though_a_later_block_never_ends(tmp_path, star
 
 @pytest.fixture
 def study(coins):
-    return study_from_dict(coins)
+    return live_study(coins)
 
 
 @pytest.mark.parametrize("resources", [SERIAL, slow(GUARDED), THREADS], ids=["serial", "guarded", "threads"])

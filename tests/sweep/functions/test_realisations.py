@@ -6,7 +6,7 @@ import xarray as xr
 
 import linksweep
 from linksweep import Output, SweepError, experiment
-from tests.sweep.opening import make_grid, run, same, study_from_dict
+from tests.sweep.opening import live_study, make_grid, run, same
 from tests.tiers import few
 
 KEPT = {"n_sim": 1200, "seed": 3, "keep_samples": True}  # three blocks
@@ -141,7 +141,7 @@ def test_a_point_with_more_realisations_has_the_variance_that_these_give_it(tmp_
     study = {"experiment": f"{tmp_path}/f.py:f"} if n_cat == 1 else {"fixed": {"catalogue": "quasars", "v_max": 15.0}}
     sampling = {"n_cat": n_cat, "common_random_numbers": True}
     study |= {"title": name, "axes": {"error_scale": [1.0, 2.0]}, "sampling": sampling | {"n_sim": n}}
-    counts = {make_grid(study_from_dict(study)).point(1).digest.hex(): 2 * n}
+    counts = {make_grid(live_study(study)).point(1).digest.hex(): 2 * n}
     runs = {"one": {"counts": counts}, "whole": {"sampling": sampling | {"n_sim": 2 * n}}}
     both = (run(study | more, tmp_path / store) for store, more in runs.items())
     one, whole = (ds[f"{name}_mc_covariance_error_scale"].values for ds in both)

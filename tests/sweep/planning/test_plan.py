@@ -13,7 +13,7 @@ from linksweep.sweep.contract import KEY_BYTES, Block, BlockRows, Output, Status
 from linksweep.sweep.planning import plan as planning
 from linksweep.sweep.planning.accumulator import TASK_S, TUNED, Accumulator, Pending
 from linksweep.sweep.planning.grid import make_grid
-from linksweep.sweep.studies.reader import load_study, study_from_dict
+from linksweep.sweep.studies.reader import live_study, load_study
 from tests.conftest import COINS
 from tests.tiers import examples, few, slow
 
@@ -23,7 +23,7 @@ PER_CENT = {  # relative errors of results, all of which are one
     "lucky": lambda n: np.where(n == 128.0, 0.5, np.sqrt(2000.0 / n)),  # as b, but small by chance for the first 128
     "late": lambda n: np.where(n < 500.0, np.nan, 0.1),  # not known below 500
 }
-ONE = study_from_dict({"title": "", "experiment": COINS})
+ONE = live_study({"title": "", "experiment": COINS})
 GRIDS = {
     "plain": {"axes": {"metal": ["gold", "tin"], "coins": [1, 5, 3]}},
     "excluded": {"axes": {"metal": ["gold", "tin"], "coins": [1, 5]}, "exclude": [{"metal": "tin", "coins": 5}]},
@@ -56,7 +56,7 @@ USELESS = [
 
 def plan_of(document, experiment=None, **sampling):
     whole = {"title": "", "experiment": COINS} | document
-    study = study_from_dict(whole | {"sampling": whole.get("sampling", {}) | sampling})
+    study = live_study(whole | {"sampling": whole.get("sampling", {}) | sampling})
     return planning.Plan(make_grid(replace(study, experiment=experiment or study.experiment)))
 
 

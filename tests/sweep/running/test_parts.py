@@ -135,7 +135,7 @@ def test_a_lost_part_is_named_and_the_same_commands_go_on(model, tmp_path, sweep
     with pytest.raises(SweepError, match="holds a store already"):
         merge(stores, tmp_path / "s")
     several = LINK | {"title": "l", "sampling": {"n_sim": 9, "n_cat": 40}}  # blocks of each point
-    refined = opening.make_grid(opening.study_from_dict(several)).point(1)
+    refined = opening.make_grid(opening.live_study(several)).point(1)
     several |= {"counts": {refined.digest.hex(): 30}}
     stores = run_parts(several, tmp_path / "l", [1, 3], 3)
     assert merge(stores, tmp_path / "l").attrs["lost_parts"] == "2 of 3"

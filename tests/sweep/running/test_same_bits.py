@@ -14,7 +14,7 @@ import xarray as xr
 
 import linksweep
 from tests.sweep import spread
-from tests.sweep.opening import check, generators, make_grid, merge, plan_study, run, same, study_from_dict
+from tests.sweep.opening import check, generators, live_study, make_grid, merge, plan_study, run, same
 from tests.tiers import slow
 
 OTHER_RESOURCES = [("--workers", 1), ("--workers", 4), ("--pool", "threads", "--workers", 4)]
@@ -103,14 +103,14 @@ def test_growth_of_any_kind_in_any_order_gives_the_bits_of_a_fresh_run(coins, tm
             else:
                 key = "n_cat" if kind == "n_cat" else "n_sim"
                 sampling[key] += rng.randint(1, 400)
-            assert plan_study(study_from_dict(document), store)[1].pending.blocks == 0
+            assert plan_study(live_study(document), store)[1].pending.blocks == 0
             document = document | {"axes": axes, "sampling": sampling}
             same(run(document, store), run(document, tmp_path / f"{chain}-{rng.random()}.zarr"))
 
 
 def test_results_are_what_a_plain_loop_over_the_streams_gives(coins, tmp_path):
     dataset = run(coins | {"exclude": [{"metal": "tin", "coins": 1}]}, tmp_path / "s.zarr")
-    points = make_grid(study_from_dict(coins)).points()
+    points = make_grid(live_study(coins)).points()
     point = next(p for p in points if p.parameters["metal"] == "tin" and p.parameters["coins"] == 5)
     heads = 0
     for catalogue in range(20):

@@ -60,7 +60,7 @@ def test_the_points_are_those_of_the_status(tmp_path_factory, xs, sims, tasks, f
     for n_sim in sims:
         sampling = {"n_sim": n_sim, "seed": 1} | ({"precision": 0.5, "max_n_sim": 4096} if precision else {})
         if refined and not precision:
-            grid = opening.make_grid(opening.study_from_dict(document | {"sampling": sampling}))
+            grid = opening.make_grid(opening.live_study(document | {"sampling": sampling}))
             document["counts"] = {grid.digests(grid.indices())[-1].hex(): refined}
         with suppress(KeyboardInterrupt):
             run(document | {"sampling": sampling}, store, OFTEN, progress=Stopping(tasks))

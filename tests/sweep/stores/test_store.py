@@ -83,7 +83,7 @@ def test_another_meaning_is_refused_with_the_differences(path, coins):
     ):
         with pytest.raises(SweepError, match=words):
             run(coins | change, path)
-    study = opening.study_from_dict(coins)
+    study = opening.live_study(coins)
     newer = replace(study, experiment=replace(study.experiment, version=2))
     with pytest.raises(SweepError, match="experiment_version: 1 in the store, 2 in the study"):
         opening.run_study(newer, path, opening.SERIAL)

@@ -11,7 +11,7 @@ from scipy import stats
 
 import linksweep
 from linksweep.sweep.cli import main
-from linksweep.sweep.studies.reader import study_from_dict
+from linksweep.sweep.studies.reader import live_study
 from linksweep.sweep.tie import experiment
 from linksweep.sweep.tie.experiment import FIELDS, check, design_of, tie
 from tests.core.tie.made import MAS, POSITION, SPIN_BLOCK, Objects, gaia, gaia_table, noise, only, parse_unknowns, stars
@@ -110,7 +110,7 @@ def quasar_study(tmp_path, n=400, **changes):
     values = np.concatenate([made.values[:3], motion])
     path = gaia(tmp_path / "quasars.ecsv", replace(made, values=values), phot_g_mean_mag=magnitude)
     fixed = {"satellite": str(path), "zero_motion": True, "unknowns": "spin"} | changes
-    study = study_from_dict({"title": "t", "experiment": TIE, "axes": {"clip": ["none"]}, "fixed": fixed})
+    study = live_study({"title": "t", "experiment": TIE, "axes": {"clip": ["none"]}, "fixed": fixed})
     return tie.defaults() | study.fixed, spins
 
 
