@@ -64,12 +64,6 @@ def test_five_parameters_at_the_same_epoch():
     np.testing.assert_allclose(problem.differences().values[:, :2], apart, atol=1e-15)
 
 
-@pytest.mark.parametrize("years", [-12.3, 8.9])
-def test_positions_of_single_epochs(years):
-    result = solve(source_sums(made(slice(0, 2), years, "orientation"))).estimate / MAS
-    np.testing.assert_allclose(result, (EPSILON + OMEGA * years) / MAS, atol=0.05)
-
-
 def test_the_motion_is_astropys():
     truth = stars(50, 5, pm=5000.0, parallax=300.0)
     for epoch in (1950.0, 2030.0):

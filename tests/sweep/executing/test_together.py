@@ -19,7 +19,7 @@ CALLS = []
 X = np.linspace(5.0, 1.0, 300)
 ANY = [linksweep.Output("y", nan=True)]
 OTHERS = [np.sort, np.cumsum, lambda x: x - x.mean(), lambda x: np.argsort(np.argsort(x)), lambda x: x == x.max()]
-OTHERS += [lambda x: np.where(x < x.max(), "less", "most"), lambda x: np.stack([x, x / np.abs(x).max()], axis=1)]
+OTHERS += [lambda x: np.where(x < x.max(), "less", "most"), lambda x: np.stack([1e15 * x, x / np.abs(x).max()], axis=1)]
 OTHERS += [lambda x, y=y: np.where(len(x) >= 2, y, x) for y in (np.nan, np.inf)]
 OTHERS += [lambda x: np.full((len(x), 2), len(x)), lambda x: x + (np.arange(len(x)) > 2)]  # right at the first ones
 OTHERS += [lambda x: np.where(x > 3.0, x, 1e-12 * (len(x) > 1))]  # more than rounding, where others are 5

@@ -34,7 +34,7 @@ def sleeps(x: float):
     time.sleep(x)
     if x == 0.02:
         raise ValueError("not this one")
-    return 2.0 * x if x == 0.01 else 2
+    return {"y": 2.0 * x if x == 0.01 else 2, "large": np.full(100, x)}
 
 
 def draws(rng, x: float):
@@ -43,8 +43,9 @@ def draws(rng, x: float):
 
 
 @pytest.mark.parametrize("pool", ["serial", "threads", slow("processes")])
-def test_each_point_has_the_time_that_it_took(tmp_path, pool):
+def test_each_point_has_the_time_that_it_took(tmp_path, monkeypatch, pool):
     store = tmp_path / "s.zarr"
+    monkeypatch.setattr("linksweep.sweep.contract.rows.MOST_VALUES", 64)  # arrays are in files of their own
     first = linksweep.run(sleeps, store, axes={"x": [0.05, 0.02, 0.1]}, pool=pool)
     assert (first.wall_time.dims, first.wall_time.attrs["units"]) == (("x",), "s")
     assert np.isnan(first.wall_time.sel(x=0.02))
@@ -53,6 +54,7 @@ def test_each_point_has_the_time_that_it_took(tmp_path, pool):
         linksweep.run(sleeps, store, axes={"x": [x]}, pool=pool)
     both = linksweep.open(store)
     assert both.sel(x=first.x).wall_time.equals(first.wall_time)
+    assert (both.large.sel(x=[0.01, 0.05, 0.1]).values.T == [0.01, 0.05, 0.1]).all()
     assert both.wall_time.sel(x=0.01) >= 0.01
     assert xr.open_zarr(store).load().wall_time.equals(both.wall_time)
     assert not check(store)

@@ -39,6 +39,7 @@ REFUSED += [({"ra_error": None}, [], "give its error in arcsec with --error"), (
 REFUSED += [({"ra_error": [0.0, 1.0, 1.0, 1.0]}, [], "a ra_error that is not above 0 in row 1 (0)")]
 REFUSED += [({"ref_epoch": None}, [], "motions need the epoch"), ({"pmra": [2e4] * 4}, [], "no star has")]
 REFUSED += [({"TYC3": [1, 4, 1, 0]}, [], "a TYC3 outside 1..3 in row 2, 4")]
+REFUSED += [({"source_id": [4e18, 1.0, 2.0, 2.5]}, [], "a source_id that is no integer in row 1, 4")]  # rounded
 REFUSED += [({"TYC1": [1] * 4, "TYC2": [13] * 4, "TYC3": [1, 2, 1, 3]}, [], "the Tycho identifier of an earlier row")]
 REFUSED += [(TWICE, ["--supplement", "extra.ecsv"], "TYC 5-6-1: in the star table and again in the supplement")]
 REFUSED += [(NO_NUMBERS | {"TYC": ["1-13-1", "1-13", "TYC 1-14-1", ""]}, [], "like '1-13-1' in row 2, 4")]

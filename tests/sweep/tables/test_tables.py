@@ -2,6 +2,7 @@
 """Tables as strangers have them: every format, units, gaps and angles, what is wrong; and conditions on rows."""
 
 import gzip
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
@@ -166,10 +167,10 @@ def test_units_in_names_and_errors_of_parts_are_found(tmp_path):
     read = Columns(read_table(written(tmp_path, "t.ecsv", text)), "", {}, {"parallax": "mas"}, ("parallax",))
     assert [read.quantity(name)[0] for name in ODD_UNITS][:3] == [30.0, 1.0, 2.0]
     assert read.problems == [f"column 'pmdec' is in MAS/YR, {said} pmdec=mas/yr"]
-    text = "Name RAh RAm RAs DE- DEd DEm DEs e_RAs e_DEs\nA 01 00 00.0 - 30 00 00.0 0.001 0.02\n"
+    text = "Name RAh RAm RAs DE- DEd DEm DEs e_RAs e_DEs\nA 01 00 00.0 - 30 15 36.0 0.001 0.02\n"
     read = Columns(read_table(written(tmp_path, "t.txt", text)))
     result = [read.quantity(name)[0] for name in ("ra", "dec", "ra_error", "dec_error")]
-    np.testing.assert_allclose(result, [15.0, -30.0, 15.0 * np.cos(np.radians(30.0)), 20.0])
+    np.testing.assert_allclose(result, [15.0, -30.26, 15.0 * np.cos(np.radians(30.26)), 20.0])
     with pytest.raises(SweepError, match="no column DE- of signs"):
         read_table(written(tmp_path, "t.txt", text.replace("DE- ", "").replace("- ", "")))
     Table({"at": SkyCoord([15.0], [-30.0], unit="deg").galactic}).write(tmp_path / "sky.ecsv")
@@ -233,6 +234,7 @@ def test_gaps_are_kept_and_large_identifiers_beside_them(text, columns, tmp_path
 
 def test_parquet_has_its_gaps_and_that_of_astropy_its_masks_and_times(tmp_path):
     columns = {"id": [2**62 + 1, None], "ra": [None, 2.5], "name": ["a", None], "ok": [True, None]}
+    columns["plx"] = [Decimal("1.25"), None]
     parquet.write_table(pa.table(columns), tmp_path / "gaps.parquet")
     result = read_table(tmp_path / "gaps.parquet")
     assert {name: result[name].tolist() for name in result.colnames} == columns

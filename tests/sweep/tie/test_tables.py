@@ -196,6 +196,9 @@ def test_epochs_in_every_form_are_those_of_astropy(tmp_path, ending, epoch, days
     Table(columns | {"epoch": epoch}).write(tmp_path / f"t.{ending}")
     result = read_table(tmp_path / f"t.{ending}").astrometry.epoch
     np.testing.assert_allclose(result, WHEN.jyear, rtol=0.0, atol=days / 365.25)
+    Table(columns | {"epoch": [2016.0, *WHEN.mjd[1:]]}).write(tmp_path / "mixed.ecsv")
+    with pytest.raises(SweepError, match="that is no Julian year"):
+        read_table(tmp_path / "mixed.ecsv")
 
 
 @pytest.mark.parametrize(("ra", "dec", "form"), [*POSITIONS, ("_RAJ2000", "_DEJ2000", "tsv")])
