@@ -125,14 +125,15 @@ def test_errors_of_both_motions_or_of_the_position_count_and_the_others_are_zero
         assert read(write(GAIA | chosen(*names))).errors is None
 
 
-def test_correlations_are_those_of_each_pair(write):
-    some, expected = {}, np.tile(np.eye(4), (4, 1, 1))
+@pytest.mark.parametrize("of_side", ["", "reference_"])
+def test_correlations_are_those_of_each_pair_and_of_their_side(of_side, write):
+    some, expected = side("reference", 2.0) if of_side else {}, np.tile(np.eye(4), (4, 1, 1))
     for k, (i, j) in enumerate([*combinations(range(4), 2)][1:], start=1):
         expected[:, i, j] = expected[:, j, i] = 0.05 * k * np.array([1, -1, 2, 0])
-        some[f"{NAMES[i]}_{NAMES[j]}_corr"] = expected[:, i, j]
-    result = read(write(GAIA | ERRORS | some)).errors.correlation
-    np.testing.assert_array_equal(result, expected)  # of the pair that is not there it is zero
-    assert read(write(GAIA | ERRORS)).errors.correlation is None
+        some[f"{of_side}{NAMES[i]}_{NAMES[j]}_corr"] = expected[:, i, j]
+    result = read(write(GAIA | ERRORS | some))  # of the pair that is not there it is zero
+    np.testing.assert_array_equal(result.own_errors("reference").correlation, expected)
+    assert (result.errors.correlation is None) == bool(of_side)
 
 
 @pytest.mark.parametrize(("columns", "names", "sentence"), WRONG)
@@ -170,10 +171,3 @@ def test_each_side_has_its_own_errors_or_those_of_both(there, write):
         else:
             asked = point(catalogue="file", file=table, n_obj=None) | {f"{name}_errors": "catalogue"}
             assert "has no errors of its own" in link.check(asked)
-
-
-def test_correlations_are_those_of_their_side(write):
-    table = write(GAIA | side("reference", 2.0) | ERRORS | {"reference_pmra_pmdec_corr": np.full(4, 0.5)})
-    result = read(table)
-    assert result.own_errors("satellite").correlation is None
-    assert np.all(result.own_errors("reference").correlation[:, 2, 3] == 0.5)

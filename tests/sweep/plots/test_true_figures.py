@@ -298,11 +298,6 @@ def test_names_below_an_axis_do_not_cover_each_other(tmp_path, names, width, tur
 
 
 def test_integers_of_a_map_have_ticks_at_integers():
-    x = xr.DataArray(range(1, 5), dims="x")
-    ds = (
-        results([1.0, 2.0, 3.0, 4.0])
-        .assign_coords(x=x)
-        .expand_dims(k=range(1, 5))
-        .assign(status=(("k", "x"), np.ones((4, 4), np.int8)))
-    )
+    parts = {"y": (("k", "x"), np.arange(16.0).reshape(4, 4)), "status": (("k", "x"), np.ones((4, 4), np.int8))}
+    ds = xr.Dataset(parts, {"k": range(1, 5), "x": range(1, 5)}, {"title": "", "function": "f"})
     assert not (linksweep.plot(ds, "map").axes[0].get_xticks() % 1.0).any()

@@ -153,6 +153,9 @@ def test_errors_are_not_scaled_twice_and_a_table_at_another_epoch_needs_the_name
             planned(folder, table, "dr4")
     result = planned(folder, "other", "dr4", from_release="dr2").error.sel(stage="dr4")
     np.testing.assert_allclose(result, errors_by_hand(folder, "other", "dr2", "dr4"), rtol=1e-9)
+    how = {"release": "dr4", "from_release": "dr2", "epoch": 2011.0}
+    study = in_a_study(folder, folder / "other.fits", folder / "reference.fits", **how)
+    np.testing.assert_allclose(study, planned(folder, "other", **how).error.sel(stage="dr4"), rtol=1e-9)
     with pytest.raises(SweepError, match="epochs of dr3 and dr4"):
         planned(folder, "mixed", "dr5", from_release="dr3")
 
