@@ -76,7 +76,7 @@ def read_table(path: Path, texts: Collection[str] = ()) -> Any:
     ``texts`` names are texts as they are written, missing where there is none.  Raises SweepError that names the file,
     and the row where there is one, for what cannot be read.
     """
-    # the second of delimited text
+    # a ValueError is of delimited text
     with refused(SweepError, ValueError, where=path), refused(OSError, MemoryError, said="cannot be read: "):
         if path.is_char_device() or not path.exists():  # a device may have no end
             raise SweepError("is a device" if path.exists() else "no such file")
