@@ -125,14 +125,6 @@ def test_leak_on_an_uneven_sky(zone_deg, contrast):
     assert contrast == 0.0 or np.linalg.norm(expected) > 10 * np.linalg.norm(error_of_mean)
 
 
-@pytest.mark.parametrize("contrast", [0.0, 0.8])
-def test_solving_for_the_glide_leaves_no_leak_and_finds_minus_the_satellites(contrast):
-    """Estimate and truth are reference - satellite: a glide of the satellite is a negative one."""
-    result = leaks(10, n_obj=50, sky_contrast=contrast, solve_glide=True)
-    np.testing.assert_allclose(result[:, :6], 0.0, atol=1e-9)
-    np.testing.assert_allclose(result[:, 6:] * np.linalg.norm(GLIDE), np.tile(-GLIDE, (10, 1)), rtol=1e-9)
-
-
 def test_the_size_of_a_pattern_is_its_rms_over_the_sky():
     catalogue = sky(100_000)
     pattern = scenario(point(motion_field="t_2_0=2,s_3_1_im=-1", motion_field_size=0.25)).systematics.pattern

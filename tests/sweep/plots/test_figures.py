@@ -82,6 +82,27 @@ def test_every_number_is_in_its_place_whatever_the_order_of_the_points(n):
         assert_shown(lower, [100.0 * (one / there - 1.0), 5.0 * one / there, 100.0 * band])
 
 
+def test_indices_speeds_and_single_values_have_errors_of_their_own():
+    x = np.arange(6.0)
+    y = np.add.outer(x, 2.0 * x) + np.random.default_rng(1).normal(0.0, 0.3, (6, 6))
+    parts = {"y": y, "y_mc_error": 0.3 + 0.0 * y, "y_predicted": y + 1.0, "z": 1e3 * y, "status": 1 + np.int8(0 * y)}
+    parts = {name: (("a", "b"), values) for name, values in parts.items()}
+    ds = xr.Dataset(parts, {"a": x, "b": x}, {"title": "", "function": "f"})
+    indices, (one, other) = linksweep.sensitivity(ds, "y"), linksweep.plot(ds.isel(a=2, b=3), variables=["y", "z"]).axes
+    assert_shown(one, [[y[2, 3]], [0.3], [y[2, 3] + 1.0]])
+    assert one.get_xlim()[1] < other.get_xlim()[0]
+    names = ("first", "first_error", "total", "total_error")
+    assert_shown(linksweep.plot(indices).axes[0], [indices[name].sortby(indices.total) for name in names])
+    workers, speed = np.array([1.0, 2.0, 4.0]), np.array([[1.0, 1.9, 3.6], [1.0, 1.7, 3.0]])
+    parts = {"speedup": speed, "speedup_error": 0.1 * speed, "efficiency": speed / workers}
+    parts = {name: (("kind", "workers"), values) for name, values in parts.items()}
+    left, right = linksweep.plot(
+        xr.Dataset(parts, {"kind": ["strong", "weak"], "workers": workers}, {"result": "scaling"})
+    ).axes
+    assert_shown(left, [*speed, *(0.1 * speed), workers])
+    assert_shown(right, [*(speed / workers), np.ones(3)])
+
+
 def test_lines_say_what_they_are_and_what_is_missing(dataset_of):
     one = dataset_of("quasars").sel(model="amex")
     [axes] = linksweep.plot(one, "lines").axes

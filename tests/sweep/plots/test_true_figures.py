@@ -226,14 +226,6 @@ def test_a_study_names_a_date_of_its_figure_and_a_legend_its_times(tmp_path):
     assert set(axes["start"]) <= set(panel.get_legend_handles_labels()[1])
 
 
-@pytest.mark.parametrize("value", [{"a": 2.5, "b": -7e6}, {"a": xr.DataArray([1.0, -2.0], {"band": ["U", "B"]})}])
-def test_a_study_without_axes_has_a_figure(tmp_path, value):
-    panels = linksweep.plot(linksweep.run(lambda: value, tmp_path / "s.zarr", pool="serial"), variables=[*value]).axes
-    for line, one in zip((axes.lines[0] for axes in panels), value.values(), strict=True):
-        assert (line.get_xdata() if np.ndim(one) == 0 else line.get_ydata()).tolist() == np.atleast_1d(one).tolist()
-    assert len({axes.get_xlim() for axes in panels}) == len(panels)
-
-
 @pytest.mark.parametrize("known", [False, True])
 def test_a_caption_has_the_signs_that_are_drawn_and_symbols_as_they_are(known):
     ds = results([1.0, 2.0, 3.0]).assign(y_predicted=("x", [1.0, 2.0, 3.0])).assign_coords(cut=2.5)
