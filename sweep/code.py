@@ -75,6 +75,9 @@ ITSELF = r"(cls|type\(self\)|__class__)(\.|$)"
 # What pickle may take apart, but is not the same from call to call.
 UNSTEADY = (io.IOBase, np.random.Generator, np.random.RandomState, random.Random, FileFinder)
 
+# Packages of notebooks and clusters, whose objects lead to all that was ever entered or computed there.
+SESSIONS = ("IPython.", "ipykernel.", "distributed.")
+
 # With which code may name anything of its module.
 BY_NAME = (globals, eval, exec, sys.modules)
 
@@ -170,6 +173,12 @@ def version_of(distribution: str) -> str:
     return "not installed"
 
 
+@cache  # which takes half a second where names differ, as those of scikit-learn
+def _distributions_with(top: str) -> tuple[str, ...]:
+    is_name = version_of(top) != "not installed"
+    return (top,) if is_name else tuple(sorted({*packages_distributions().get(top, ())}))
+
+
 @cache
 def distributions_at(file: str | None, top: str) -> tuple[str, ...] | None:
     """Return the distributions that a module's file belongs to, none for Python and linksweep; None for the user's."""
@@ -179,8 +188,7 @@ def distributions_at(file: str | None, top: str) -> tuple[str, ...] | None:
     # What pip has unpacked has a folder *.dist-info beside it, wherever that is; an editable install has it elsewhere
     folder = next((around.parent for around in (path, *path.parents) if around.stem == top), path.parent)
     if not is_ours and any(folder.glob("*.dist-info")):
-        names = [top] if version_of(top) != "not installed" else sorted({*packages_distributions().get(top, ())})
-        return tuple(names) or None
+        return _distributions_with(top) or None
     return () if is_ours or path.is_relative_to(_STDLIB) else None
 
 
@@ -371,8 +379,9 @@ class Reach:
         wraps = is_other and callable(value) and hasattr(value, "__wrapped__") and "__wrapped__" not in vars(kind)
         if isinstance(value, DESCRIPTORS) or (wraps and kind not in (MethodType, partial)):
             return [getattr(value, name, None) for name in WRAPPED]
-        if isinstance(value, UNSTEADY) or value is os.environ or (kind is np.ufunc and "vectorized" in value.__name__):
-            raise TypeError("not the same from call to call, or made by frompyfunc, which does not tell of what")
+        is_made = kind is np.ufunc and "vectorized" in value.__name__  # by frompyfunc, which does not tell of what
+        if isinstance(value, UNSTEADY) or value is os.environ or is_made or kind.__module__.startswith(SESSIONS):
+            raise TypeError("not the same from call to call")
         reduce = cloudpickle.Pickler.dispatch_table.get(kind) if kind is not TypeVar else None  # by its whole module
         reduced = reduce(value) if reduce is not None else value.__reduce_ex__(4)
         if is_other and kind is not partial and all(hasattr(kind, name) for name in ("func", "args", "keywords")):
@@ -393,10 +402,12 @@ class Reach:
         return function, args, *kept, list(items or ()), list(pairs or ())
 
     def _kept(self, kind: type, state: dict[Any, Any]) -> list[Any] | None:
-        """Return the attributes of an object that neither code changes nor are cached properties, in order; None if
-        there is none, as before anything was cached.
+        """Return the attributes of an object that neither code changes nor are caches, in order; None if there is
+        none, as before anything was cached.
         """
         cached = {key for key in state if isinstance(getattr(kind, str(key), None), cached_property)}
+        if distributions_of(kind.__module__) is not None:  # as of pandas, and of xarray, which makes empty ones late
+            cached |= {"_cache", *(name for name in ("_attrs", "_encoding") if not state.get(name))}
         changed = state.keys() & self._changed
         self._is_partial |= bool(changed - cached)
         return [(key, state[key]) for key in sorted(state.keys() - changed - cached - {"__doc__"}, key=str)] or None
@@ -433,8 +444,10 @@ class Reach:
         self._keep(f"module {name}", self._text(acts, vars(module)))
 
     def _whole(self, module: ModuleType) -> None:
+        shell = getattr(sys.modules.get("IPython"), "get_ipython", bool)()
+        entered = getattr(shell, "user_ns_hidden", {})  # In, Out and others, which grow with each cell
         for name, value in sorted(vars(module).items()):
-            if not name.startswith("__") or name == "__getattr__":
+            if (not name.startswith("__") or name == "__getattr__") and entered.get(name, entered) is not value:
                 self._named(name, vars(module), value)
 
     def _named(self, name: str, names: Names, value: Any) -> str:
