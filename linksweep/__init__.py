@@ -99,7 +99,10 @@ def __getattr__(name: str) -> Any:
         return version("linksweep")
     if name not in _MODULE_OF:
         raise AttributeError(f"module 'linksweep' has no attribute {name!r}")
-    globals()[name] = value = getattr(import_module(_MODULE_OF[name]), name)
+    from linksweep.sweep.interrupt import watched
+
+    with watched() as interruptions, interruptions.postponed():  # pandas that was imported by half cannot be again
+        globals()[name] = value = getattr(import_module(_MODULE_OF[name]), name)
     return value
 
 
