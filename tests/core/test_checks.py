@@ -33,7 +33,7 @@ POSSIBLE = [
     QUASARS | {"n_obj": None, "v_max": 16.3, "v_min": 14.7, "counts": "completed"},
     *(QUASARS | {"n_obj": 1000, "v_max": 16.5, "counts": "completed"}, {"solve_glide": True, "n_obj": 3}),
     *(GALAXIES | {"v_max": 11.0, "aberration": True}, {"zone_of_avoidance": 89.0, "sky_contrast": -0.99}),
-    RADIO | {"positions": "own", "reference_errors": "catalogue"},
+    *(RADIO | {"positions": "own", "reference_errors": "catalogue"}, PROJECTED | {"n_obj": 2, "weighting": "equal"}),
     {"solve_glide": True, "aberration": True, "reference_errors": "normal", "corrections": False},
     {"directions": "random", "epsilon_size": 5.0, "omega_size": 0.0},
     FAINT | {"error_scale": 1e8, "satellite_floor_pos": 1.0, "satellite_floor_pm": 1.0},  # which has no scale

@@ -37,7 +37,7 @@ def arrows(axes):
 def residuals(ra, dec, values, errors):
     both = np.full((len(ra), 5), np.nan)
     both[:, :2] = values
-    rows = dict.fromkeys(("difference", "residual"), (("row", "observable"), both))
+    rows = {name: (("row", "observable"), factor * both) for name, factor in (("difference", 1.0), ("residual", 0.5))}
     rows["difference_error"] = ("row", "observable"), np.concatenate([errors, np.ones((len(ra), 3))], axis=1)
     rows |= {"row_source_index": ("row", np.arange(len(ra))), "weight_factor": ("source", np.ones(len(ra)))}
     rows |= {"ra": ("source", ra), "dec": ("source", dec), "observable_unit": ("observable", ["mas"] * 5)}
@@ -47,8 +47,9 @@ def residuals(ra, dec, values, errors):
 def test_arrows_point_as_the_sky_does():
     ra, dec = np.array([180.0, 180.0, 320.0, 359.0, 20.0]), np.array([0.0, 0.0, 45.0, -20.0, 70.0])
     values = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 1.0], [0.6, -0.8], [-1.0, 0.3]])
-    axes = linksweep.plot(residuals(ra, dec, 0.01 * values, np.ones((5, 2))), "residuals").axes[0]
+    axes, after = linksweep.plot(residuals(ra, dec, 0.01 * values, np.ones((5, 2))), "residuals").axes
     _, _, length, angle = arrows(axes)
+    np.testing.assert_allclose(arrows(after)[2], 0.5 * length)  # on the same scale
     np.testing.assert_allclose(length / length[0], np.hypot(*values.T), rtol=1e-9)
     [key] = axes.findobj(QuiverKey)
     assert key.label == f"{10.0 * key.U / length[0]:g} µas"

@@ -130,6 +130,7 @@ def test_json_is_the_summary(folder):
     motions = {"ra": np.hypot(120.0, 50.0) / 20.0, "dec": np.hypot(130.0, 50.0) / 20.0}
     assert (certain["pm_error_mas_yr"], certain["magnitude"]["mean"]) == (pytest.approx(motions), pytest.approx(12.5))
     assert (wide["matches"], report["catalogues"]["sharp"]["matches"], report["galaxies"]) == (4, 1, 4)
+    assert wide["chance_pairs_local_error"] == pytest.approx(1.0 / (10.0**2 - 5.0**2))  # as of one pair in the ring
     for name, n, radius in (("wide", 4, 5.0), ("sharp", 1, 3.0)):  # by its name, and that of all others
         pairs = 5 * n * np.sin(np.radians(0.5 * radius * ARCSEC)) ** 2
         assert report["catalogues"][name]["chance_pairs_uniform"] == pytest.approx(pairs)
