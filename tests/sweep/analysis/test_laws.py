@@ -106,14 +106,18 @@ def test_truth_values_and_integers_have_crossings_and_values_between():
 @settings(max_examples=examples(100))
 @given(st.lists(st.sampled_from([1.0, 2.0, 3.0]), min_size=5, max_size=5), st.sampled_from([*CONDITIONS]))
 def test_where_a_condition_is_met(value, sign):
-    result, holds = find(grid(value, 0.01), f"width {sign} 2", "n"), CONDITIONS[sign](value, 2.0)
+    stored = grid(value, 0.01).isel(n=[3, 0, 4, 1, 2])  # rows of a store are in any order
+    result, holds = find(stored, f"width {sign} 2", "n"), CONDITIONS[sign](value, 2.0)
     far = find(grid(2.0**900 * np.array(value), 0.01 * 2.0**900), f"width {sign} {2.0**901!r}", "n")
     assert far[["met", "first", "last_error"]].equals(result[["met", "first", "last_error"]])
-    flips, there = np.count_nonzero(np.diff(holds)), holds[-1]
-    some = ("from" if there else "up to") if flips == 1 else "several times"
+    flips, there = np.flatnonzero(np.diff(holds)).tolist(), holds[-1]
+    some = ("from" if there else "up to") if len(flips) == 1 else "several times"
     assert met(result) == [some if flips else "always" if there else "never"] * 2
+    assert result["crossings"].values.tolist() == [len(flips)] * 2
     if flips:
-        assert np.all(result["first"] <= result["last"])
+        for name, i in (("first", flips[0]), ("last", flips[-1])):
+            share = np.log(2.0 / value[i]) / np.log(value[i + 1] / value[i])
+            assert result[name].values == pytest.approx(N[i] * (N[i + 1] / N[i]) ** share)
     else:
         assert result["nearest"].values == pytest.approx(min(value, key=lambda one: abs(one - 2.0)))
         assert result["nearest_error"].values == pytest.approx(0.01)

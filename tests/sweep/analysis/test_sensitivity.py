@@ -113,19 +113,6 @@ def test_morris_effects_of_a_linear_function_are_its_slopes(tmp_path):
     assert result[["mu_star", "mu", "sigma"]].to_array().values == pytest.approx(effects, abs=1e-9)
 
 
-def test_a_table_may_be_any_and_columns_that_go_together_are_named(tmp_path):
-    @experiment()
-    def mixed(kind: str = "a", k: int = 1, x: float = 0.0):
-        return {"a": 0.0, "b": 1.0, "c": 5.0}[kind] + (k % 3)
-
-    rng = np.random.default_rng(8)
-    table = {"kind": rng.choice(["a", "b", "c"], 600).tolist(), "k": rng.integers(1, 7, 600)}
-    result = sensitivity(run(mixed, tmp_path / "s.zarr", points=table | {"x": table["k"] + 0.0}))
-    alone = np.var([0.0, 1.0, 5.0]), np.var([0, 1, 2])
-    assert agrees(result.isel(parameter=slice(2)), "first", np.array(alone) / sum(alone))
-    assert "k and x go together in these points" in result.attrs["notes"]
-
-
 @pytest.mark.slow
 def test_crossed_axes_and_dimensions_of_an_output_have_indices_each(tmp_path):
     t = np.linspace(0.0, 1.0, 3)

@@ -10,7 +10,7 @@ from astropy.table import Table
 from hypothesis import given, settings, strategies as st
 
 import linksweep
-from linksweep.sweep.analysis.quantity import indices, select
+from linksweep.sweep.analysis.quantity import select
 from tests.sweep.analysis.made import N, answers, grid, shown, text_of
 from tests.tiers import examples
 
@@ -122,9 +122,3 @@ def test_each_component_and_a_bad_condition_are_shown_in_80_columns():
     alone = masers.isel(component=0).assign({n: (("n_obj", "axis"), [sigma]) for n in ("glide", "glide_mc_error")})
     text = text_of(alone.assign_coords(axis=["x", "y", "z"]))  # whose correlations nobody knows
     assert ("glide, n_obj=12: condition number" in text, "correlation" in text) == (True, False)
-
-
-def test_a_number_that_many_points_have_is_given_back_as_it_is_shown():
-    values = np.tile([0.1 + 0.2, 1 / 3], 20_000)
-    dataset = xr.Dataset({"y": ("point", values)}, {"a": ("point", values)})
-    assert indices(dataset, {"a": "0.333333"})["point"] == list(range(1, 40_000, 2))

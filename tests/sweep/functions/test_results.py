@@ -214,7 +214,8 @@ def test_a_vectorised_function_returns_a_value_for_each_point(returned, why, tmp
 def test_a_vectorised_function_gets_numbers_beside_texts_and_quantities_as_what_they_are(tmp_path):
     lengths = (lambda x=1 * u.m: np.array([one.to_value(u.m) for one in x])), [2 * u.km, 3 * u.m], [2000.0, 3.0]
     numbers = (lambda x: np.where(x == 1, 10.0, 20.0)), [*"abcdefghij", 1], [20.0] * 10 + [10.0]
-    for f, axis, expected in (lengths, numbers):
+    mixed = (lambda x: np.full(len(x), x.dtype != object)), [*range(9), 0.25], [True] * 10
+    for f, axis, expected in (lengths, numbers, mixed):
         ds = run(experiment(vectorised=True)(f), tmp_path / "s", axes={"x": axis}, pool="serial", fresh=True)
         assert ds.result.values.tolist() == expected
 

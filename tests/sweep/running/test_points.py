@@ -47,10 +47,6 @@ def test_repeated_rows_are_computed_once_and_stand_in_the_table_as_often(tmp_pat
     assert (ds.attrs["points"], ds.attrs["points_done"], ds.attrs["complete"]) == (10, 10, 1)
     assert np.all(ds.status == 1)
     assert xr.open_zarr(tmp_path / "s.zarr").load().y.values.tolist() == expected
-    more = {"axes": {"k": [1, 2], "g": [2.0, 3.0], "h": [0.0, 1.0]}}
-    more["when"] = {"g": {"k": [2]}, "c": {"k": [2]}, "h": {"c": [5]}}  # h has no effect where c has none
-    ds = run(lambda x, k, c=5, g=0.5, h=0.25: x + g + h, tmp_path / "w", points={"x": [1.0, 1]}, **more)
-    assert sorted(ds.result.values[ds.status == 1].tolist()) == [1.75, 1.75, 3.0, 3.0, 4.0, 4.0, 4.0, 4.0, 5.0, 5.0]
 
 
 def test_a_table_grows_at_its_end_and_is_refused_where_old_rows_change(tmp_path, monkeypatch):

@@ -10,7 +10,7 @@ from scipy import stats
 import linksweep
 from linksweep import Output, experiment
 from linksweep.sweep.analysis.quantity import standard_error
-from tests.sweep.opening import OpenStore, Progress, Stopping, same, status_report
+from tests.sweep.opening import OpenStore, Progress, Stopping, files_of, same, status_report
 from tests.tiers import few, slow
 
 PRECISE, MANY, WIDE = {"n_sim": 64, "precision": 0.05}, {"n_sim": 700}, ("q95", "std", "median")
@@ -38,6 +38,9 @@ def test_every_point_gets_what_it_needs_and_not_much_more(tmp_path, sweep_here):
     bounded = run(tmp_path / "most.zarr", max_n_sim=3000)
     assert (bounded["n_sim_done"].values.tolist()[2], bounded.attrs["complete"]) == (3072, 1)
     assert (bounded["level_mean_mc_error"] > 0.01 * bounded["level_mean"]).sum() == 1
+    before = files_of(tmp_path / "most.zarr")
+    run(tmp_path / "most.zarr", max_n_sim=500)  # which is there already
+    assert files_of(tmp_path / "most.zarr") == before
     for words in ("show", "status"):
         assert "warning: 1 of 3 points did not reach precision = 0.01" in sweep_here(words, tmp_path / "most.zarr")[1]
 
@@ -227,6 +230,9 @@ def test_half_a_run_covers_all_axes(tmp_path, shape):
     for length, places in zip(shape, done.T, strict=True):
         gaps = np.diff([-1, *np.unique(places), length])
         assert gaps.max() <= 3, gaps
+    points = {"design": "sobol", "n": 64, "ranges": {"a": [0, 1]}}
+    ds = stopped(lambda a: a, tmp_path / "d.zarr", 0.5, points=points)  # in its own order
+    assert not np.diff((ds.status == 1).astype(int)).max() > 0
 
 
 @pytest.mark.slow

@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-import operator
 import re
 import tomllib
 from decimal import Decimal
@@ -18,12 +17,9 @@ from linksweep import SweepError, load_study, run
 from tests.conftest import COINS, run_sweep
 from tests.sweep import user
 from tests.sweep.mutations import corpus
-from tests.sweep.opening import make_grid
 from tests.tiers import slow
 
 large = st.integers(-(2**62), 2**62)
-MEETS = {"=": operator.eq, "<": operator.lt, ">": operator.gt}
-bounds = st.lists(st.tuples(st.sampled_from("an"), st.sampled_from("<>"), st.integers(0, 4)), max_size=3)
 LINK = "linksweep.core.experiment:link"
 FIXED = {"catalogue": "quasar", "omega": [1.0, 2.0], "error_scale": -1.0, "corrections": "yes", "n_obj": 2.5}
 AXES = [{"v_mx": [14.0]}, {"v_max": []}, {"v_max": {"start": 1.0, "stop": 2.0}}]
@@ -93,22 +89,6 @@ def test_ranges_are_those_of_numpy_and_begin_and_end_where_it_is_written(low, ti
         assert [values[0], values[-1]] == [low, high]
     assert (axis("n=7:1234567890123:log2"), axis("a=1:1000:log4")) == ([7, 1234567890123], [1.0, 10.0, 100.0, 1000.0])
     assert axis("a=0:1:0.3333333333")[-1] == 1.0
-
-
-@given(st.lists(st.tuples(bounds, st.integers(0, 4)), min_size=1, max_size=2))
-def test_a_point_is_left_out_where_all_conditions_of_an_option_are_met(options):
-    for place, (some, value) in enumerate(options):
-        options[place] = {(name, sign): number for name, sign, number in some if name == "a" or value in (0, 4)}
-        options[place] |= {} if value in (0, 4) and some else {("n", "="): value}
-
-    def meets(a, n, one):
-        return all(MEETS[sign]({"a": a, "n": n}[name], number) for (name, sign), number in one.items())
-
-    kept = {(a, n) for a, n in product((1, 2, 3), repeat=2) if not any(meets(a, n, one) for one in options)}
-    written = [",".join(f"{name}{sign}{number}" for (name, sign), number in one.items()) for one in options]
-    study = load_law(axes=["a=1,2,3", "n=1,2,3"], exclude=written)
-    with contextlib.nullcontext() if kept else pytest.raises(SweepError, match="every point"):
-        assert {(point["a"], point["n"]) for _, point in make_grid(study).parameters()} == kept
 
 
 def test_objects_without_order_or_that_give_their_values_once_and_steps_beyond_a_range_are_refused(tmp_path):
