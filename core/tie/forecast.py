@@ -44,43 +44,35 @@ def releases_at(epochs: Array) -> list[str]:
     return sorted(set().union(*near)) if all(near) else []
 
 
-def release_of(epochs: Array, new: str, named: str | None = None) -> str:
-    """Return the release from which a table's errors are scaled to ``new``: that of its epochs (N,), in Julian years.
+def released(
+    problem: Problem, new: str, named: str = "table", epoch_moves: bool = True
+) -> tuple[Problem, str, list[str]]:
+    """Return the problem with the satellite's table as another release may give it: errors scaled, correlations kept,
+    at that release's epoch, to which the epoch of the unknowns ``moves`` with it; the release of the table's epoch,
+    from which it is scaled; and notes on what was assumed.  "table" leaves all as it is.
 
     ``named`` is a release for epochs that are those of none; with it, ``new`` may also be an earlier release.  Raises
-    ValueError where errors would be scaled twice or, without ``named``, backwards.
+    ValueError where errors would be scaled twice or, without ``named``, backwards.  For forecasts: the values stay the
+    same, so only errors are meaningful.
     """
-    known, at = np.unique(epochs[np.isfinite(epochs)]), releases_at(epochs) or [str(named)] * bool(named)
-    if len(at) != 1 or named not in (None, *at):
+    if new == "table":
+        return problem, "", []
+    star = problem.satellite
+    known, at = np.unique(star.epoch[np.isfinite(star.epoch)]), releases_at(star.epoch) or [named] * (named != "table")
+    if len(at) != 1 or named not in ("table", *at):
         span = " to ".join(dict.fromkeys(f"{epoch:.10g}" for epoch in (*known[:1], *known[-1:]))) or "none"
         there = ", ".join(f"{name} {one.epoch:g}" for name, one in RELEASES.items())
         said = f"the satellite's epochs ({span}) are those of {' and '.join(at) or 'no release'} ({there})"
         raise ValueError(f"{said}: errors are scaled from one; name it, from_release, only for epochs of none")
     old = at[0]
-    if old == new or (named is None and RELEASES[new].months < RELEASES[old].months):
+    if old == new or (named == "table" and RELEASES[new].months < RELEASES[old].months):
         said = f"release {new}: the satellite's epoch {known[0]:g} is that of {old}, the same or a later one"
         raise ValueError(f"{said}; to scale errors backwards, name from_release {old}")
-    return old
-
-
-def released(
-    problem: Problem, new: str, named: str = "table", epoch_moves: bool = True
-) -> tuple[Problem, str, list[str]]:
-    """Return the problem with the satellite's table as another release may give it: errors scaled, correlations kept,
-    at that release's epoch, to which the epoch of the unknowns ``moves`` with it; the release that it is scaled from,
-    which may be ``named`` as for `release_of`; and notes on what was assumed.  "table" leaves all as it is.
-
-    For forecasts: the values stay the same, so only errors are meaningful.
-    """
-    if new == "table":
-        return problem, "", []
-    old = release_of(problem.satellite.epoch, new, None if named == "table" else named)
     # T^-1/2 and T^-3/2 with the time T that observations span, as on ESA's Gaia science performance pages
     ratio = RELEASES[old].months / RELEASES[new].months
     position, motion = ratio**0.5, ratio**1.5
     scale = np.array([position, position, position, motion, motion])[:, None]
     shift = RELEASES[new].epoch - RELEASES[old].epoch
-    star = problem.satellite
     satellite = replace(star, errors=star.errors * scale, epoch=star.epoch + shift)
     if star.further is not None:
         slower = np.stack([np.ones(5), ratio ** np.array([2.5, 2.5, 3.5, 3.5, 0.5])])[..., None]
@@ -122,24 +114,19 @@ def choose(now: NormalSums, new: NormalSums, number: int, goal: Goal) -> tuple[l
     ``now`` and ``new`` are the sums of each source without and with the new rows.  While no single one determines the
     unknowns, the one that adds most to the smallest eigenvalues is taken.
     """
-    gain = new.matrices - now.matrices
-    totals = [now.matrices.sum(axis=0)]
-    chosen: list[int] = []
+    gain, k = new.matrices - now.matrices, len(goal.unknowns)
+    totals, chosen = [now.matrices.sum(axis=0)], list[int]()
     for _ in range(min(number, len(gain))):
         left = [i for i in range(len(gain)) if i not in chosen]
-        values = [goal.value(totals[-1] + gain[i]) for i in left]
+        trials = [totals[-1] + gain[i] for i in left]
+        values = [goal.value(trial) for trial in trials]
         if not np.any(np.isfinite(values)):
-            values = [-_regularised((totals[-1] + gain[i])[0]) for i in left]
+            relative = [trial[0] / (np.trace(trial[0]) / k or 1.0) + 1e-9 * np.eye(k) for trial in trials]
+            values = [-np.linalg.slogdet(matrix)[1] for matrix in relative]
         best = left[int(np.argmin(values))]
         chosen.append(best)
         totals.append(totals[-1] + gain[best])
     return chosen, np.array(totals)
-
-
-def _regularised(normal: Array) -> float:
-    """Return a log determinant relative to the trace that is finite for a singular matrix too."""
-    size = np.trace(normal) / len(normal)
-    return float(np.linalg.slogdet(normal / size + 1e-9 * np.eye(len(normal)))[1]) if size > 0.0 else -np.inf
 
 
 # ---- tables drawn with their errors

@@ -264,13 +264,11 @@ def _without_parallax(stars: Astrometry, rows: Astrometry, source: Indices) -> l
     if len(absent := observed[stars.present[3, observed] & ~stars.present[2, observed]]):
         said = f"no parallax of {first_of(np.asarray(stars.names)[absent].tolist(), 5)}"
         return [f"{said}: it displaces their positions of a single epoch, and counts as unknown"]
-    if len(observed) < 5:
-        return []
     values, errors = (one[2:, observed][stars.present[2:, observed]] for one in (stars.values, stars.errors))
-    if not np.sum((values / np.maximum(errors, 1e-9 * MAS)) ** 2) < 4.0 * len(values):  # exact ones have errors of 0
-        return []
+    squares = np.sum((values / np.maximum(errors, 1e-9 * MAS)) ** 2)  # exact ones have errors of 0
     said = "positions of a single epoch are displaced by parallaxes, and these sources have none, nor motions"
-    return [f"{said}: if they are quasars, say --extragalactic reference"]
+    are_none = len(observed) >= 5 and squares < 4.0 * len(values)
+    return [f"{said}: if they are quasars, say --extragalactic reference"] if are_none else []
 
 
 def quasars_at_rest(stars: Astrometry, rows: Astrometry, source: Indices, aberration: float = 0.0) -> Astrometry:
@@ -492,7 +490,7 @@ def match_notes(satellite: AstrometricTable, table: AstrometricTable, matched: M
 
 def _coarse_epochs(stars: Astrometry, table: AstrometricTable, matched: Match, rows: Astrometry) -> Indices:
     """Return the numbers of the rows of a single epoch that is rounded too much for the motions of their stars."""
-    if not table.columns:  # built-in tables are as they were published
+    if not table.columns or len(np.unique(rows.epoch)) < 2:  # built-in tables are as they were published
         return matched.rows[:0]
     values = np.nan_to_num(stars.values[2:, matched.source])
     with np.errstate(invalid="ignore", divide="ignore"):
