@@ -430,14 +430,15 @@ def watch(
         raise click.UsageError("name a store")
     try:
         with watched():
-            if web:
-                _pages().serve(stores, interval, lambda address: click.echo(f"{address}\nCtrl-C ends it", err=True))
-            else:
-                _in_the_terminal(stores, interval)
+            _on_a_page(stores, interval) if web else _in_the_terminal(stores, interval)
     except RunInterruptedError as stop:
         # Ctrl-C is how one stops watching; any other signal came from elsewhere.
         if stop.signal != signal.SIGINT:
             raise
+
+
+def _on_a_page(stores: "Iterable[Location]", interval: float) -> None:
+    _pages().serve(stores, interval, lambda address: click.echo(f"{address}\nCtrl-C ends it", err=True))
 
 
 def _in_the_terminal(stores: "Iterable[Location]", interval: float) -> None:

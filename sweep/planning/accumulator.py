@@ -461,8 +461,6 @@ class Pending:
         So all points have values early that are about equally good, and the blocks of a point mostly come together.
         Points begin in a nested order, and no more of them than fit into memory; others begin when these are done.
         """
-        sampling, width = self._plan.grid.study.sampling, self._accumulator.reducer.samples_width
-        most = max(1, min(AT_ONCE, MOST_KEPT // max(1, 8 * width * sampling.n_sim)))
         teams, is_last = self._teams(), False
         while not is_last:
             begun, done, is_last = list[Team](), 1, True
@@ -470,7 +468,7 @@ class Pending:
                 yield from self._works(team, 0, 1)
                 if len(team[0]) > 1:
                     begun.append(team)
-                    if len(begun) >= most:
+                    if len(begun) >= self._most_begun():
                         is_last = False
                         break
             while begun:
@@ -479,6 +477,10 @@ class Pending:
                 done = 2 * done + 1
                 begun = [team for team in begun if len(team[0]) > done]
             yield from self._wanted(self._added)
+
+    def _most_begun(self) -> int:
+        sampling, width = self._plan.grid.study.sampling, self._accumulator.reducer.samples_width
+        return max(1, min(AT_ONCE, MOST_KEPT // max(1, 8 * width * sampling.n_sim)))
 
     def _teams(self) -> Iterator[Team]:
         """Yield points that draw the same random numbers together, all others alone."""

@@ -91,6 +91,9 @@ class Reasons:
         """Return of each reason how many points failed for it, a place and a message, the most frequent first."""
         return [(number, *self.first[kind]) for kind, number in self._numbers.most_common()]
 
+    def __str__(self) -> str:
+        return "; ".join(self.in_words())
+
     def in_words(self) -> list[str]:
         """Return the most frequent reasons, each with how many points it is of and one of them."""
         words = []
@@ -176,14 +179,14 @@ class FailureCount:
             exceeded = here > (most.number or 0)
         else:
             exceeded = tried >= FIRST and 100.0 * here > most.percent * tried
-        return f"{said}: {'; '.join(self.reasons.in_words())}" if exceeded else ""
+        return f"{said}: {self.reasons}" if exceeded else ""
 
 
 def failed_points(failures: Mapping[str, str]) -> str:
     """Return how many points failed and why, from messages by place: '3 points failed: 2 like KeyError: 'y', for
     example at sky=clear; ValueError: no sun, at sky=dark'.
     """
-    return f"{counted(len(failures), 'point')} failed: {'; '.join(Reasons(failures).in_words())}"
+    return f"{counted(len(failures), 'point')} failed: {Reasons(failures)}"
 
 
 def in_common(place: str, message: str) -> str:
@@ -429,14 +432,7 @@ class TerminalProgress(Progress):
         if self._begun is not None:
             further = f"; next: {', '.join(commands)}" if commands and not failures else ""
             if self._done.blocks:
-                elapsed, failed = self._elapsed(), self._count.reasons.points
-                realisations = "" if self._once else f" and {counted(self._done.realisations, 'realisation')}"
-                took = f"{elapsed:.2g} s" if elapsed < 10.0 else in_words(elapsed)
-                self.say(
-                    f"{counted(self._done.points - failed, 'point')}{realisations}"
-                    f"{f' done, {failed:,} failed,' if failed else ''} in {took}: "
-                    f"{self._speed(elapsed)}, {self._busy:,.1f} s of work by all workers together"
-                )
+                self.say(self._summary(self._elapsed()))
             self.say(f"wrote {str(store).translate(ESCAPED)}{further}")
             warned = self._warned.most()
             for times, place, text in warned[:NAMED]:
@@ -451,6 +447,17 @@ class TerminalProgress(Progress):
                 f"`sweep status {name}` says why, `sweep run --retry {name}` tries them again, "
                 f"`sweep reproduce {name} --at POINT` runs one here"
             )
+
+    def _summary(self, elapsed: float) -> str:
+        """Return what there is to say at the end of a run that took ``elapsed`` seconds."""
+        failed = self._count.reasons.points
+        realisations = "" if self._once else f" and {counted(self._done.realisations, 'realisation')}"
+        took = f"{elapsed:.2g} s" if elapsed < 10.0 else in_words(elapsed)
+        return (
+            f"{counted(self._done.points - failed, 'point')}{realisations}"
+            f"{f' done, {failed:,} failed,' if failed else ''} in {took}: "
+            f"{self._speed(elapsed)}, {self._busy:,.1f} s of work by all workers together"
+        )
 
     def _elapsed(self) -> float:
         assert self._begun is not None, "a run starts before it is described"

@@ -73,6 +73,13 @@ def differences_of_code(records: Sequence[Mapping[str, Any]], study: Study) -> l
     return code_differences(old, now, "in the store", "now")
 
 
+def made_by_other_code(store: Store, study: Study) -> set[bytes]:
+    """Return the digests of the points in a ledger of which other code than a study's has made a row."""
+    records = records_of(store.attributes)
+    are_other = [False, *(bool(differences_of_code([record], study)) for record in records)]
+    return {key[:DIGEST_BYTES] for key, row in store.rows.items() if are_other[number_of_code(records, row)]}
+
+
 def number_of_code(records: Sequence[Mapping[str, Any]], row: int) -> int:
     """Return which of some records is of a row, from 1; 0 for a row before all of them."""
     return bisect_right(records, row, key=lambda record: record["first_row"])
@@ -221,10 +228,8 @@ def again_where(store: Store, study: Study, condition: str) -> dict[bytes, Recor
     message = f"is to be computed again where {condition}"
     left = {digest for digest, record in store.failures.items() if record["message"] == message}
     there = {key[:DIGEST_BYTES] for key in store.rows} | store.failures.keys()
-    records = records_of(store.attributes)
-    are_other = [False, *(bool(differences_of_code([one], study)) for one in records)]
-    made = {key[:DIGEST_BYTES] for key, row in store.rows.items() if are_other[number_of_code(records, row)]}
-    old = made | store.failures.keys() if are_other[-1] else made
+    made = made_by_other_code(store, study)
+    old = made | store.failures.keys() if differences_of_code(records_of(store.attributes), study) else made
     points = [point for point in Grid(study).points() if point.digest in there]
     met = where_met(study, points, condition, old) if points else ()
     record = {"kind": "again", "message": message, "traceback": "", "host": host(), "when": now()}
@@ -837,9 +842,7 @@ def plan_report(study: Study, store: Where, workers: int | None = None, accept_c
     row = experiment.reducer.dtype.itemsize
     cores = max(1, min(workers or available_cores(), available_cores(), math.ceil(pending.cost / TARGET)))
     realisations = {"realisations": survey.total.realisations, "realisations_pending": pending.realisations}
-    rng, buffer = np.random.Generator(np.random.SFC64(0)), np.empty(65536)
-    each = timeit(lambda: rng.standard_normal(out=buffer), number=4) / (4 * buffer.size)  # nearly all of what is done
-    time_left = {"seconds": round(pending.cost * each / cores, 1), "cores": cores}
+    time_left = {"seconds": round(pending.cost / (_normals_per_second() * cores), 1), "cores": cores}
     return {
         "title": study.title,
         "grid": " x ".join(f"{name} {n}" for name, n in zip(grid.dimensions, grid.shape, strict=True)) or "one point",
@@ -853,6 +856,12 @@ def plan_report(study: Study, store: Where, workers: int | None = None, accept_c
         "store": str(store),
         "warnings": list(grid.warnings),
     }
+
+
+def _normals_per_second() -> float:
+    """Time a quarter of a million normals: what a realisation costs is nearly all random numbers."""
+    rng, buffer = np.random.Generator(np.random.SFC64(0)), np.empty(65536)
+    return 4 * buffer.size / timeit(lambda: rng.standard_normal(out=buffer), number=4)
 
 
 def run_study(
