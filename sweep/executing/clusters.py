@@ -430,9 +430,9 @@ class TaskPlugin(WorkerPlugin):
 
 
 class SourcesPlugin(WorkerPlugin):
-    """Brings the sources of an experiment's file and of its local modules, which a worker may not have."""
-
-    idempotent = True
+    """Brings the sources of an experiment's file and of its local modules, which a worker may not have; in each run
+    anew, since the cell of a class may have been executed again, and its members are others then.
+    """
 
     def __init__(self, sources: Any) -> None:
         self._sources = sources

@@ -1,6 +1,7 @@
 """Workers of Dask: of a file's cluster, of a client of the user's, over TLS; and what is no place to run on."""
 
 import asyncio
+import enum
 import multiprocessing
 import os
 import signal
@@ -148,6 +149,11 @@ def test_a_client_computes_the_same_bits_and_goes_on_to_work(client, tmp_path, m
         linksweep.run(lambda x: time.sleep(0.02) / x, tmp_path / "s.zarr", axes=AXES, client=client, max_failures=1)
     wait_until(lambda: not any(client.processing().values()), "the end of its tasks")
     assert (client.status, before.result(), client.submit(np.sqrt, 9.0).result()) == ("running", 2.0, 3.0)
+    for n in (1, 2):  # as where a cell is executed again: workers get the same code anew, with its class
+        members = list(enum.Enum("Kind", "RED BLUE"))
+        axes = {"k": members, "x": range(n)}
+        ds = linksweep.run(partial(lambda red, k, x: k is red, members[0]), tmp_path / "k", axes=axes, client=client)
+    assert ds.result.values.tolist() == [[True] * 2, [False] * 2]
 
 
 @pytest.mark.slow
