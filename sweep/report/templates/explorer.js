@@ -358,8 +358,8 @@
       const along = { x: [[...figure.xaxis][0], [...figure.xgrid][0]], y: [[...figure.yaxis][0], [...figure.ygrid][0]] };
       if (quantity.truth && !isMap) named(...along.y, ["False", "True"]);
       if (isMap && !numeric) named(...along.x, factors);
-      // A letter is some 6 pixels wide; what would not fit side by side is turned.
-      if (!numeric && factors.length * largest(factors.map((one) => one.length)) * 6 > this.element.clientWidth - 100) along.x[0].major_label_orientation = Math.PI / 4;
+      // A letter is some 6 pixels wide; what would not fit side by side is turned, and what would not fit then is left out.
+      if (!numeric && factors.length * largest(factors.map((one) => one.length)) * 6 > this.element.clientWidth - 100) Object.assign(along.x[0], { major_label_orientation: Math.PI / 4, major_label_policy: new Bokeh.NoOverlap() });
       if (isMap && !series.numeric) named(...along.y, this.factors(series));
       if (logX) labelShort(...along.x, x.values);
       if (logY) labelShort(...along.y, isMap ? series.values : flat.map((row) => row.value));
