@@ -21,7 +21,6 @@ from matplotlib import collections, colors, lines, patches, patheffects, ticker
 from matplotlib.axes import Axes
 from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
-from scipy.special import chdtri
 
 from linksweep.sweep import formatting
 from linksweep.sweep.analysis import answer, quantity
@@ -183,14 +182,9 @@ def save(figure: Figure, path: Path, words: str = "") -> None:
         figure.savefig(path, dpi=300, metadata=FORMATS[path.suffix.lower()])
         if words:
             path.with_suffix(".txt").write_text(words, encoding="utf-8")
-    letters = dict[str, None]()
-    for one in caught:
-        if glyph := re.match(r"Glyph (\d+) .* missing", str(one.message)):
-            letters[chr(int(glyph[1]))] = None
-        else:
-            warnings.warn_explicit(one.message, one.category, one.filename, one.lineno)
-    if letters:
-        words = f"the font lacks {''.join(letters)}, drawn as boxes; choose another as font.family in matplotlibrc"
+    if letters := dict.fromkeys(n for one in caught for n in re.findall(r"^Glyph (\d+) ", str(one.message))):
+        lacking = "".join(chr(int(number)) for number in letters)
+        words = f"the font lacks {lacking}, drawn as boxes; choose another as font.family in matplotlibrc"
         logging.getLogger("linksweep").warning("warning: %s: %s", path, words)
 
 
@@ -520,7 +514,7 @@ def draw_cloud(axes: Axes, both: Array, words: str) -> None:
 def draw_ellipse(axes: Axes, centre: Array, covariance: Array, confidence: float, **look: Any) -> None:
     """Draw the ellipse that holds a share ``confidence`` of a normal distribution of two numbers."""
     values, vectors = np.linalg.eigh(covariance)
-    width, height = 2.0 * np.sqrt(np.maximum(values, 0.0) * chdtri(2, 1.0 - confidence))
+    width, height = 2.0 * np.sqrt(np.maximum(values, 0.0) * -2.0 * np.log1p(-confidence))
     angle = float(np.degrees(np.arctan2(vectors[1, 0], vectors[0, 0])))
     axes.add_patch(patches.Ellipse(tuple(centre), width, height, angle=angle, fill=False, linewidth=1.2, **look))
 

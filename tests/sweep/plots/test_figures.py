@@ -55,14 +55,9 @@ def test_every_number_is_in_its_place_whatever_the_order_of_the_points(n):
     rng, size = np.random.default_rng(1), np.array([3.0, 1.0, 2.0])
     x = rng.permutation(np.geomspace(1.0, 90.0, n))
     y, order = size[:, None] / np.sqrt(x) * rng.normal(1.0, 0.01, (3, n)), np.argsort(x)
-    parts = {
-        "y_mc_error": 0.03 * y,
-        "y": y,
-        "y_catalogue_error": 0.04 * y,
-    }  # together 0.05; of few points there is more
-    parts |= (
-        {"y_predicted": y + 0.1 * y.min(), "y_published": 0.9 * y, "y_published_rounding": 0.01 * y} if n == 5 else {}
-    )
+    parts = {"y_mc_error": 0.03 * y, "y": y, "y_catalogue_error": 0.04 * y}  # together 0.05
+    if n == 5:  # of few points there is more
+        parts |= {"y_predicted": y + 0.1 * y.min(), "y_published": 0.9 * y, "y_published_rounding": 0.01 * y}
     seen, parts = [*parts.values()][1 : 6 if n == 5 else 2], parts | {"status": np.ones((3, n), int)}
     parts = {name: (("size", "x"), values) for name, values in parts.items()}
     ds = xr.Dataset(parts, {"x": x, "size": size}, {"title": "", "function": "f"})
