@@ -48,12 +48,6 @@ def test_position_never_returns_a_full_turn():
     assert 0.0 <= ra < 2.0 * np.pi
 
 
-@pytest.mark.parametrize("angle", [1e-9, 1e-4, 0.5, 2.0, np.pi, 5.0])
-def test_rotation_matrix_is_the_exponential(angle):
-    vector = angle * np.array([2.0, -1.0, 2.0]) / 3.0
-    np.testing.assert_allclose(frames.rotation_matrix(vector), Rotation.from_rotvec(vector).as_matrix(), atol=ROUNDING)
-
-
 def test_satellite_catalogue_obeys_the_vector_equations():
     ra, dec, pmra, pmdec = sky(500)
     epsilon, omega = np.array([0.3, -0.8, 1.1]), np.array([0.1, 0.2, -0.3])

@@ -96,10 +96,8 @@ def of_ranking(plan):
 
 
 def of_sources(kind):
-    """What is shown of the sources that are kept: one of the eight is not."""
-
     def panels(link):
-        kept, ratio = link.weight_factor.values > 0.0, link.discrepancy / link.n_observations
+        kept, ratio = link.weight_factor.values > 0.0, link.discrepancy / link.n_observations  # seven of eight
         if kind == "weight":
             return [[one[kept], ratio[kept]] for one in link.share.values.T]
         order = np.argsort(link.share.values.max(axis=1))[1:]  # the largest is on top

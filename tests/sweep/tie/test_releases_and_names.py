@@ -8,12 +8,14 @@ from astropy.table import Column, Table
 
 import linksweep
 from linksweep.core.frames import ARCSEC, DEGREE, MAS
-from linksweep.core.tie.astrometry import propagated
+from linksweep.core.tie.astrometry import joined, propagated
 from linksweep.sweep.tie.tables import TableOptions, read_table
 from tests.core.tie.made import POSITION, gaia, gaia_table, only, random_correlations, seen_by_satellite, stars
 from tests.tiers import few
 
 TURN = np.array([1.0, -2.0, 3.0]) * MAS
+# How far rows are apart in errors, those of one in units of the other's, and what is said of them
+REPEATED = [(0.0, 1.0, "the same numbers"), (1.9, 1.0, "nearly"), (0.28, 1.1, "nearly"), (0.32, 1.1, "")]
 HIP2 = "{:6d}   5 0 1 {:13.10f} {:13.10f} {:7.2f} {:8.2f} {:8.2f}" + 5 * " {:6.2f}"  # of hip2.dat, byte by byte
 HIP2 += "  60  0.50  0    0.0    0  9.5000 0.0010 0.020 0  0.500 0.010  0.550" + 15 * "{:7.2f}"
 
@@ -76,6 +78,16 @@ def test_sources_within_the_radius_and_leftovers_are_named(tmp_path):
     link = linksweep.tie(ours, tmp_path / "other.ecsv", "orientation", by="position", accept_misfit=True)
     assert said(link, "several sources are within the radius (A0 and A1); the nearest is taken")
     assert said(link, "1 of 11 rows of other.ecsv match no source: S11")
+
+
+@pytest.mark.parametrize(("step", "factor", "words"), REPEATED)
+def test_rows_that_repeat_another_of_their_source_are_named(tmp_path, step, factor, words):
+    made, source = still(), np.arange(24) % 12 + 10**17
+    moved = made.values + step * factor * made.errors / np.array([np.cos(made.values[1]), *np.ones((4, 12))])
+    rows = joined(made, replace(made, values=moved, errors=factor * made.errors))
+    twice = gaia(tmp_path / "twice.ecsv", replace(rows, radial_velocity=np.zeros(24)), source_id=source)
+    link = linksweep.tie(gaia(tmp_path / "own.ecsv", made), twice, "orientation,spin", accept_misfit=True)
+    assert said(link, f"row 13, 14, 15, 16, 17 and 7 more of twice.ecsv: {words}") == bool(words)
 
 
 def test_raw_hip2_is_recognised_whatever_its_readme_says(tmp_path):
