@@ -115,10 +115,8 @@ MISTAKES = {
     "errors in mas declared as deg": ("reference", DECLARED, "mas taken for deg"),
     "motion errors in uas": ("satellite", scaled(ERRORS[3:], 1e3), "of pmra are .* those of ra: is one .* in another"),
     "a parallax missing": ("satellite", of_one(["parallax"], lambda _: 999), r"without \d+ it is .*; no known mistake"),
-    "no correlations": ("satellite", lambda table, rng: table.remove_columns(CORRELATIONS), "no correlations"),
     "errors that are NaN": ("reference", of_one(POSITIONS, lambda _: np.nan), "rows have no error of ra, dec"),
     "names exchanged": ("reference", names_exchanged, "exchanged|are the names"),
-    "hours": ("reference", {"ra": lambda table: table["ra"] / 15.0}, "units of the positions right"),
 }
 
 
