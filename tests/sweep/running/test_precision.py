@@ -230,8 +230,7 @@ def test_half_a_run_covers_all_axes(tmp_path, shape):
     for length, places in zip(shape, done.T, strict=True):
         gaps = np.diff([-1, *np.unique(places), length])
         assert gaps.max() <= 3, gaps
-    points = {"design": "sobol", "n": 64, "ranges": {"a": [0, 1]}}
-    ds = stopped(lambda a: a, tmp_path / "d.zarr", 0.5, points=points)  # in its own order
+    ds = stopped(lambda a: a, tmp_path / "d.zarr", 0.5, points={"design": "sobol", "n": 64, "ranges": {"a": [0, 1]}})
     assert not np.diff((ds.status == 1).astype(int)).max() > 0
 
 

@@ -76,6 +76,7 @@ def test_the_points_are_those_of_the_status(tmp_path_factory, xs, sims, tasks, f
         tiles = [tile for row in watched.tiles(2000, 2000) for tile in row]
         assert watched.status.size - counts["excluded"] <= len(tiles) <= watched.status.size
         assert [tile.state for tile in tiles].count("failed") == counts["failed"]
+        assert all(0.0 <= tile.share <= 1.0 for row in watched.tiles(1, 1) for tile in row)
 
 
 @pytest.mark.parametrize("shape", [(), (3, 5), (400, 2), (1, 90), *map(slow, ((37, 31), (7,), (5, 4, 3, 2)))])

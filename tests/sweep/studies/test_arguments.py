@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, strategies as st
 from jsonschema import Draft202012Validator
 
-from linksweep import SweepError, load_study, run
+from linksweep import SweepError, experiment, load_study, run
 from tests.conftest import COINS, run_sweep
 from tests.sweep import user
 from tests.sweep.mutations import corpus
@@ -153,6 +153,7 @@ def test_the_schema_refuses_what_a_run_refuses(wrong, link_validator, tmp_path):
         run(document, tmp_path / "s.zarr")
 
 
+@experiment(when={"o": {"c": [1]}})
 def kinds(cut: float | None = 1.0, free=None, m: list = [], c: Full | None = 1, o: Full = 1, f: Full | float = 1):  # noqa: B006
     return 1.0
 
