@@ -6,6 +6,7 @@ reading, ``notes``, the sentences below them, and ``records``, the one table for
 """
 
 import json
+import os
 import tempfile
 import warnings
 from collections.abc import Callable
@@ -108,11 +109,12 @@ def write_at_once(path: Path, write: Callable[[Path], Any]) -> None:
     The name is the same in another folder, because the format may depend on it.
     """
     with reading(path, "cannot be written"):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=path.parent, prefix=f".{path.name}-") as folder:
+        real = Path(os.path.realpath(path))  # a link stays one
+        real.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=real.parent, prefix=".") as folder:
             with warnings.catch_warnings(action="ignore"):
                 write(Path(folder) / path.name)
-            (Path(folder) / path.name).replace(path)
+            (Path(folder) / path.name).replace(real)
 
 
 def require_free(path: Path) -> None:

@@ -619,27 +619,3 @@ def with_extra(extra: str, package: str, module: str) -> Any:
 
 
 drawing_styles = partial(with_extra, "plot", "matplotlib", "plots.style")
-
-
-def require_writable(path: Path) -> None:
-    """Raise an error unless `save_result` can write there, as far as is known before there are results."""
-    from linksweep.sweep.result import require_free
-
-    if path.suffix.lower() == ".zarr":
-        require_free(path)
-    else:
-        drawing_styles().require_format(path, ".zarr")
-
-
-def save_result(dataset: Any, path: Path) -> None:
-    """Write results as a Zarr store, or draw them in the way that suits them if the path is that of a picture."""
-    from linksweep.sweep.result import Result
-
-    if path.suffix.lower() == ".zarr":
-        Result(dataset).save(path)
-    else:
-        from linksweep.sweep.plots.figure import draw_figure
-
-        with (styles := drawing_styles()).settings():
-            styles.save(draw_figure(dataset), path)
-    wrote(path)

@@ -200,13 +200,6 @@ def plot(
         cli.wrote(written)
 
 
-def paper_studies(published: bool) -> "list[linksweep.Study]":
-    """Return the built-in studies in the order of the paper, or those that have ``published`` numbers or claims."""
-    names = [name for name, text in _built_in().items() if not published or {"published", "claim"} & text.keys()]
-    others = sorted(set(names).difference(PAPER_ORDER))
-    return [linksweep.load_study(name) for name in (*PAPER_ORDER, *others) if name in names]
-
-
 @dataclass(frozen=True)
 class AskedStores:
     """The stores that a command is about: those that it names, or with --all those of the whole paper."""
@@ -236,8 +229,10 @@ class AskedStores:
         from linksweep.sweep.running.run import plan_study
         from linksweep.sweep.stores.location import RESULTS, located
 
+        names = {name for name, text in _built_in().items() if not published or {"published", "claim"} & text.keys()}
+        ordered = dict.fromkeys([*filter(names.__contains__, PAPER_ORDER), *sorted(names)])
         places = []
-        for study in paper_studies(published):
+        for study in map(linksweep.load_study, ordered):
             store = located((self.results or RESULTS) / f"{study.name}.zarr")
             # All stores are looked at before the first study runs: an hour later is late for a refusal.
             try:
@@ -430,15 +425,14 @@ def watch(
         raise click.UsageError("name a store")
     try:
         with watched():
-            _on_a_page(stores, interval) if web else _in_the_terminal(stores, interval)
+            if web:
+                _pages().serve(stores, interval, lambda address: click.echo(f"{address}\nCtrl-C ends it", err=True))
+            else:
+                _in_the_terminal(stores, interval)
     except RunInterruptedError as stop:
         # Ctrl-C is how one stops watching; any other signal came from elsewhere.
         if stop.signal != signal.SIGINT:
             raise
-
-
-def _on_a_page(stores: "Iterable[Location]", interval: float) -> None:
-    _pages().serve(stores, interval, lambda address: click.echo(f"{address}\nCtrl-C ends it", err=True))
 
 
 def _in_the_terminal(stores: "Iterable[Location]", interval: float) -> None:

@@ -351,23 +351,34 @@ class Target:
 
     def __post_init__(self) -> None:
         """Raise an error unless a store can be written and figures be drawn, before anything is computed."""
-        if self.output is not None:
-            cli.require_writable(self.output)
+        if (output := self.output) is not None and output.suffix.lower() == ".zarr":
+            from linksweep.sweep.result import require_free
+
+            require_free(output)
+        elif output is not None:
+            cli.drawing_styles().require_format(output, ".zarr")
         if self.figures is not None:
             cli.drawing_styles()
 
     def put(self, result: "xr.Dataset") -> None:
         """Print a result, write it and draw its figures."""
-        if self.output is not None:
-            cli.save_result(result, self.output)
-        if self.figures is not None:
+        from linksweep.sweep.result import Result
+
+        if (output := self.output) is not None and output.suffix.lower() == ".zarr":
+            Result(result).save(output)
+            cli.wrote(output)
+            output = None
+        if output is not None or self.figures is not None:
             from linksweep.sweep.plots import figure as drawing, style
-            from linksweep.sweep.result import Result
 
             with style.settings():
-                for kind, figure in drawing.all_figures(Result(result)).items():
-                    style.save(figure, self.figures / f"{kind}.png")
-                    cli.wrote(self.figures / f"{kind}.png")
+                figures = {} if output is None else {output: drawing.draw_figure(result)}
+                if self.figures is not None:
+                    kinds = drawing.all_figures(Result(result))
+                    figures |= {self.figures / f"{kind}.png": figure for kind, figure in kinds.items()}
+                for path, figure in figures.items():
+                    style.save(figure, path)
+                    cli.wrote(path)
         cli.print_result(result, "json" if self.as_json else "text")
 
 
@@ -646,8 +657,7 @@ def submit(
     with refused(OSError, subprocess.CalledProcessError, said="cannot be written or submitted: ", where=file):
         if file.exists() and file.read_bytes() != script:
             raise linksweep.SweepError("is there already, and another one; submit it with sh, or remove it", str(file))
-        folder.mkdir(parents=True, exist_ok=True)
-        file.write_bytes(script)
+        Folder(folder).put(file.name, script)
         cli.wrote(file, "" if go else f"; submit it with: sh {typed(file)}")
         if go:
             subprocess.run(["sh", str(file)], check=True)

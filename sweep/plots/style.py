@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ from matplotlib.figure import Figure
 from linksweep.sweep import formatting
 from linksweep.sweep.analysis import answer, quantity
 from linksweep.sweep.contract import Array, SweepError, refused, shown, suggest
-from linksweep.sweep.stores.location import reading
+from linksweep.sweep.result import write_at_once
 from linksweep.sweep.studies.study import FigureForm
 
 # Safe for the colour-blind.  Source: Okabe & Ito 2008.
@@ -173,15 +174,16 @@ def require_format(path: Path, *others: str) -> None:
 
 def save(figure: Figure, path: Path, words: str = "") -> None:
     """Write a figure as PNG, SVG or PDF, whichever ``path`` ends with, without a date, and beside it NAME.txt with
-    ``words`` if there are any; raises SweepError.
+    ``words`` if there are any; each is whole, or as it was.  Raises SweepError.
     """
     require_format(path)
-    with reading(path, "cannot draw there"), warnings.catch_warnings(record=True) as caught:
+    form, drawn = path.suffix.lower(), io.BytesIO()
+    with warnings.catch_warnings(record=True) as caught:
         warnings.filterwarnings("always", message="Glyph")
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=300, metadata=FORMATS[path.suffix.lower()])
-        if words:
-            path.with_suffix(".txt").write_text(words, encoding="utf-8")
+        figure.savefig(drawn, format=form[1:], dpi=300, metadata=FORMATS[form])
+    files = {path: drawn.getvalue()} | ({path.with_suffix(".txt"): words.encode()} if words else {})
+    for file, content in files.items():
+        write_at_once(file, partial(Path.write_bytes, data=content))
     if letters := dict.fromkeys(n for one in caught for n in re.findall(r"^Glyph (\d+) ", str(one.message))):
         lacking = "".join(chr(int(number)) for number in letters)
         words = f"the font lacks {lacking}, drawn as boxes; choose another as font.family in matplotlibrc"

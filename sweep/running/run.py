@@ -842,7 +842,10 @@ def plan_report(study: Study, store: Where, workers: int | None = None, accept_c
     row = experiment.reducer.dtype.itemsize
     cores = max(1, min(workers or available_cores(), available_cores(), math.ceil(pending.cost / TARGET)))
     realisations = {"realisations": survey.total.realisations, "realisations_pending": pending.realisations}
-    time_left = {"seconds": round(pending.cost / (_normals_per_second() * cores), 1), "cores": cores}
+    # What a realisation costs is nearly all random numbers.
+    rng, buffer = np.random.Generator(np.random.SFC64(0)), np.empty(65536)
+    normal = timeit(lambda: rng.standard_normal(out=buffer), number=4) / (4 * buffer.size)
+    time_left = {"seconds": round(pending.cost * normal / cores, 1), "cores": cores}
     return {
         "title": study.title,
         "grid": " x ".join(f"{name} {n}" for name, n in zip(grid.dimensions, grid.shape, strict=True)) or "one point",
@@ -856,12 +859,6 @@ def plan_report(study: Study, store: Where, workers: int | None = None, accept_c
         "store": str(store),
         "warnings": list(grid.warnings),
     }
-
-
-def _normals_per_second() -> float:
-    """Time a quarter of a million normals: what a realisation costs is nearly all random numbers."""
-    rng, buffer = np.random.Generator(np.random.SFC64(0)), np.empty(65536)
-    return 4 * buffer.size / timeit(lambda: rng.standard_normal(out=buffer), number=4)
 
 
 def run_study(

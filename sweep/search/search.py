@@ -8,7 +8,6 @@ each match is classified.
 Source: Metz & Geffert 2004, Sect. 3; the rules of the classes replace the paper's inspection by eye.
 """
 
-import io
 import json
 import os
 import re
@@ -537,7 +536,7 @@ def find_galaxies(
     Raises SweepError for all that is wrong with tables, options and names of files; then nothing is written.
     """
     _check(search, [path for path in (output, table, figure) if path is not None], overwrite)
-    result, contents, drawn = find_matches(search), dict[Path, bytes](), io.BytesIO()
+    result, contents = find_matches(search), dict[Path, bytes]()
     matches = matches_dataset(result)
     if output.suffix.lower() == ".ecsv":
         contents[output] = records(matches).ecsv().encode()
@@ -550,8 +549,7 @@ def find_galaxies(
         from linksweep.sweep.plots import figure as drawing, style
 
         with style.settings():
-            drawing.draw_figure(matches).savefig(drawn, format=figure.suffix[1:].lower(), dpi=200)
-        contents[figure] = drawn.getvalue()
+            style.save(drawing.draw_figure(matches), figure)
     for path, content in contents.items():
         write_at_once(path, partial(Path.write_bytes, data=content))
     if output not in contents:
