@@ -105,7 +105,10 @@ def _multiples(highest: int, ra: Array) -> tuple[Array, Array]:
 
 def turned(fields: Array, out: Array | None = None) -> Array:
     """Return fields (..., 2, N) turned by 90 deg from east through north: toroidal ones become spheroidal."""
-    return np.stack([-fields[..., 1, :], fields[..., 0, :]], axis=-2, out=out)
+    out = np.empty_like(fields) if out is None else out
+    np.negative(fields[..., 1, :], out=out[..., 0, :])
+    out[..., 1, :] = fields[..., 0, :]
+    return out
 
 
 Vector = tuple[float, float, float]

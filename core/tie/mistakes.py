@@ -169,7 +169,7 @@ def _groups(problem: Problem, solution: Solution) -> list[_Group]:
     groups = []
     for part in _by_kind(problem):
         for quantity, rows in GROUPS.items():
-            used = usable & part.at[:, None] & np.isin(np.arange(5), rows)
+            used = usable & part.at[:, None] & [k in rows for k in range(5)]
             if np.any(used):
                 mean = float(np.sum(np.clip(means[used], 0.0, 1.0)))
                 at = used.any(axis=1)

@@ -430,7 +430,7 @@ class Writer:
                     more = accumulator.add(point, block, rows[place : place + 1], kept, float(result.seconds[row]))
                     added += [self.plan.work((point,), one) for one in more]
             ended = tuple(point for index, point in there.items() if not accumulator.is_missing(index))
-            failed |= self._refuse_results([point.index for point in ended if accumulator.is_done(point.index)])
+            failed |= self._refuse_results([p.index for p in ended if accumulator.status[p.index] == Status.DONE])
             self.pending.add(added)
             samples = [kept for row in good if (kept := result.outcomes[row].kept) is not None]
             keys = [ledger_key(point.digest, block) for point, block in good.values()]
@@ -532,7 +532,7 @@ class Writer:
 
     def _has_its_part(self) -> bool:
         """Return whether a part has nothing left to compute: others finish the points that are missing."""
-        missing = self.plan.grid.points(self.accumulator.missing_points())
+        missing = self.plan.grid.points(np.flatnonzero(self.accumulator.status == Status.MISSING))
         blocks = ((point, block) for point in missing for block in self.accumulator.blocks(point))
         is_part = self.plan.grid.study.part is not None
         return is_part and all(ledger_key(point.digest, block) in self.store.rows for point, block in blocks)
@@ -715,7 +715,7 @@ class Session:
             failed = wanted is not None and not store.failures.keys().isdisjoint(wanted)
             is_done = is_stored and not failed and not accumulator.survey.pending.blocks
             session.is_left_alone = is_done and store.is_whole()
-            missing = accumulator.missing_points()
+            missing = np.flatnonzero(accumulator.status == Status.MISSING)
             require_known(whole, (p for p in plan.grid.points(missing) if not wanted or p.digest in wanted))
         return session
 
