@@ -116,16 +116,6 @@ def check_code(store: Store, study: Study, gone: Collection[bytes] = (), accept_
         raise SweepError([meaning, *changes], str(store.location))
 
 
-def record_code(store: Store, study: Study, say: Callable[[str], None]) -> None:
-    """Record which code makes the blocks from now on, and tell the user if it has changed."""
-    records = records_with_rows(store)
-    changes = differences_of_code(records, study)
-    for sentence in changes:
-        say(f"other code goes on with {store.location}: {sentence}")
-    is_new = changes or not records
-    begin_code(store, code_of(study.experiment_reference, study.experiment) if is_new else records[-1]["code"])
-
-
 def records_with_rows(store: Store) -> list[dict[str, Any]]:
     """Return the records of code that has made rows of an open store."""
     return [record for record in records_of(store.attributes) if record["first_row"] < store.rows.end]
@@ -806,7 +796,12 @@ class Session:
             store = self.store = open_store(made, study, writes=True)
             store.keep_copy()
         store.verify()
-        record_code(store, study, progress.say)
+        records = records_with_rows(store)
+        changes = differences_of_code(records, study)
+        for sentence in changes:
+            progress.say(f"other code goes on with {store.location}: {sentence}")
+        is_new = changes or not records
+        begin_code(store, code_of(study.experiment_reference, study.experiment) if is_new else records[-1]["code"])
         if unused := len(store.rows) - self.accumulator.survey.stored.blocks:
             progress.say(f"{unused:,} blocks in the store are not part of this study; they are kept")
         return store

@@ -41,14 +41,9 @@ def slow(self, dataset):
 linksweep.sweep.stores.store.Store.write = slow
 linksweep.sweep.cli.main()
 """
-HALF = """import signal, sys, linksweep
-class Finder:
-    def find_spec(name, path=None, target=None):
-        if name == "pandas.core.frame" and sys.meta_path.remove(Finder) is None: signal.raise_signal(signal.SIGINT)
-sys.meta_path.insert(0, Finder)
-try: linksweep.run
-except KeyboardInterrupt: print(linksweep.run.__name__)
-"""
+HALF = "import signal, sys, linksweep\n"
+HALF += "sys.addaudithook(lambda _, args: args[:1] == ('pandas.core.frame',) and signal.raise_signal(2))\n"
+HALF += "try: linksweep.run\nexcept KeyboardInterrupt: print(linksweep.run.__name__)\n"
 
 
 @pytest.fixture
@@ -72,11 +67,12 @@ def ended_as(body):
     return None
 
 
-def test_a_held_signal_is_raised_once_and_a_second_one_is_answered_as_before(monkeypatch):
+def test_a_held_signal_is_raised_once_a_second_one_is_answered_as_before_and_an_ignored_one_stays_ignored():
     steps, seen = [], []
 
     def body(interruptions):
         try:
+            signal.raise_signal(signal.SIGHUP)  # under nohup a run goes on when the terminal is closed
             with interruptions.postponed():
                 signal.raise_signal(signal.SIGTERM)
                 steps.append("held")
@@ -88,10 +84,12 @@ def test_a_held_signal_is_raised_once_and_a_second_one_is_answered_as_before(mon
             raise
 
     before = signal.signal(signal.SIGTERM, lambda number, frame: seen.append(number))
+    hup = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
         assert ended_as(body) == signal.SIGTERM
     finally:
         signal.signal(signal.SIGTERM, before)
+        signal.signal(signal.SIGHUP, hup)
     assert steps == ["held", "written", "seen 1"]
 
 
@@ -136,15 +134,6 @@ def test_what_a_finaliser_swallows_comes_again_and_cleaning_up_is_not_interrupte
             steps.append("clean")
 
     assert (ended_as(body), steps) == (signal.SIGTERM, ["clean"])
-
-
-def test_an_ignored_signal_stays_ignored():  # under nohup a run goes on when the terminal is closed
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
-    try:
-        with watched():
-            signal.raise_signal(signal.SIGHUP)
-    finally:
-        signal.signal(signal.SIGHUP, before)
 
 
 @pytest.mark.parametrize("long_write", [False, True], ids=["short write", "long write"])
