@@ -7,7 +7,6 @@ import json
 import re
 import runpy
 import sys
-import types
 
 import pytest
 from hypothesis import given, settings, strategies as st
@@ -88,9 +87,11 @@ def run(n):
 if __name__ == "__main__": first = [run(n) for n in (2, 3)][-1]
 """
 CELLS = """import pandas as pd
-S = pd.Series(range(5), pd.date_range("2020", periods=5))
+class Shell: __module__ = "ipykernel.zmqshell"
+S, shell = pd.Series(range(5), pd.date_range("2020", periods=5)), Shell()
 D = S.to_xarray()
-def f(x): return x + len(D["index"].attrs) + S["2020-01-02":].size + len(eval("ask().noted()"))
+def get_ipython(): return shell
+def f(x): return x + len(D["index"].attrs) + S["2020-01-02":].size + len(eval("shell.user_ns_hidden"))
 """
 SETS = "import decimal\ndecimal.getcontext().prec = "
 ACTS = {"set_a.py": f"{SETS}4\n", "set_b.py": f"{SETS}8\n", "by_b.py": "import set_b\n"}  # on others, by file
@@ -316,13 +317,11 @@ def test_a_function_that_a_notebook_reloads_by_itself_is_that_of_its_file(tmp_pa
 def test_what_a_notebook_and_caches_of_libraries_have_is_no_code(tmp_path, monkeypatch):
     (tmp_path / "cells.py").write_text(CELLS)
     monkeypatch.syspath_prepend(tmp_path)
-    ways = {"__module__": "ipykernel.zmqshell", "ask": lambda self: self, "noted": lambda self: self.user_ns_hidden}
-    cells, shell = importlib.import_module("cells"), type("Shell", (), ways)()
-    cells.ask, cells.In, shell.user_ns_hidden = shell.ask, [], {}
-    monkeypatch.setitem(sys.modules, "IPython", types.SimpleNamespace(get_ipython=shell.ask))
+    monkeypatch.setitem(sys.modules, "IPython", cells := importlib.import_module("cells"))
+    hidden = cells.shell.user_ns_hidden = {"In": []}
+    vars(cells).update(hidden)
     for n in (1, 2):
-        cells.In.append(shell.__dict__.setdefault(f"cell {n}", n))
-        shell.user_ns_hidden["In"] = cells.In
+        hidden["In"].append(cells.shell.__dict__.setdefault(f"cell {n}", n))
         ds = linksweep.run(cells.f, tmp_path / "s.zarr", axes={"x": range(n)}, pool="serial", progress=False)
     assert ds.f.values.tolist() == [5, 6]
 
