@@ -134,9 +134,6 @@ _codes: dict[tuple[str, str | None], "LocalFiles | Live"] = {}
 
 _places: dict[str, str] = {}
 
-# Those of a package with another name, as scikit-learn: it takes half a second to look them up.
-_distributions_with = cache(lambda top: tuple(sorted({*packages_distributions().get(top, ())})))
-
 unparsed = lru_cache(maxsize=4096)(ast.unparse)
 _warn = cache(logging.getLogger("linksweep").warning)  # a process says it once
 
@@ -176,6 +173,12 @@ def version_of(distribution: str) -> str:
     return "not installed"
 
 
+@cache  # looking up distributions with another name, such as scikit-learn, takes half a second
+def _distributions_with(top: str) -> tuple[str, ...]:
+    is_name = version_of(top) != "not installed"
+    return (top,) if is_name else tuple(sorted({*packages_distributions().get(top, ())}))
+
+
 @cache
 def distributions_at(file: str | None, top: str) -> tuple[str, ...] | None:
     """Return the distributions that a module's file belongs to, none for Python and linksweep; None for the user's."""
@@ -185,7 +188,7 @@ def distributions_at(file: str | None, top: str) -> tuple[str, ...] | None:
     # What pip has unpacked has a folder *.dist-info beside it, wherever that is; an editable install has it elsewhere
     folder = next((around.parent for around in (path, *path.parents) if around.stem == top), path.parent)
     if not is_ours and any(folder.glob("*.dist-info")):
-        return ((top,) if version_of(top) != "not installed" else _distributions_with(top)) or None
+        return _distributions_with(top) or None
     return () if is_ours or path.is_relative_to(_STDLIB) else None
 
 

@@ -200,6 +200,13 @@ def plot(
         cli.wrote(written)
 
 
+def paper_studies(published: bool) -> "list[linksweep.Study]":
+    """Return the built-in studies in the order of the paper, or those that have ``published`` numbers or claims."""
+    names = [name for name, text in _built_in().items() if not published or {"published", "claim"} & text.keys()]
+    others = sorted(set(names).difference(PAPER_ORDER))
+    return [linksweep.load_study(name) for name in (*PAPER_ORDER, *others) if name in names]
+
+
 @dataclass(frozen=True)
 class AskedStores:
     """The stores that a command is about: those that it names, or with --all those of the whole paper."""
@@ -229,10 +236,8 @@ class AskedStores:
         from linksweep.sweep.running.run import plan_study
         from linksweep.sweep.stores.location import RESULTS, located
 
-        names = {name for name, text in _built_in().items() if not published or {"published", "claim"} & text.keys()}
-        ordered = dict.fromkeys([*filter(names.__contains__, PAPER_ORDER), *sorted(names)])
         places = []
-        for study in map(linksweep.load_study, ordered):
+        for study in paper_studies(published):
             store = located((self.results or RESULTS) / f"{study.name}.zarr")
             # All stores are looked at before the first study runs: an hour later is late for a refusal.
             try:

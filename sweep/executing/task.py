@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Any, Literal, Protocol, TypeVar
+from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,6 +120,10 @@ class Task:
     function: Callable[[], Any] | None = None
     errors: Mapping[str, Any] = field(default_factory=np.geterr)
     decimals: decimal.Context = field(default_factory=decimal.getcontext)
+
+    def seed_of(self, unit: PointBlock) -> int:
+        """Return where the global generators of a process start for a unit: apart from its own generators."""
+        return crc32(unit.stream, crc32(f"{self.seed} {tuple(unit.block)}".encode()))
 
 
 class TimeLimitError(BaseException):

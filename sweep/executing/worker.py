@@ -20,7 +20,6 @@ from functools import partial
 from itertools import groupby
 from pathlib import Path
 from typing import Any
-from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
@@ -422,9 +421,8 @@ class _Computing:
         the generators of the process start elsewhere.
         """
         task, limit = self.task, self.task.time_limit_s
-        seed = crc32(unit.stream, crc32(f"{task.seed} {tuple(unit.block)}".encode()))  # apart from its own generators
         try:
-            with undisturbed(task, seed ^ turn), self._deadlines.within(limit and limit * points):
+            with undisturbed(task, task.seed_of(unit) ^ turn), self._deadlines.within(limit and limit * points):
                 return call()
         except BaseException as error:  # a point that fails, or leaves with sys.exit, must not take others with it
             if is_interruption(error):

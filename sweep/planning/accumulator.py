@@ -158,9 +158,17 @@ class Accumulator:
             return (self._whole,)
         return [b for b in self.blocks(point) if ledger_key(point.digest, b) not in self._rows]
 
+    def missing_points(self) -> NDArray[np.intp]:
+        """Return the indices of the points that are neither done nor given up now."""
+        return np.flatnonzero(self.status == MISSING)
+
     def is_missing(self, index: int) -> bool:
         """Return whether a point is neither done nor given up."""
         return bool(self.status[index] == MISSING)
+
+    def is_done(self, index: int) -> bool:
+        """Return whether a point has all its blocks."""
+        return bool(self.status[index] == DONE)
 
     def _is_wanted(self, point: GridPoint) -> bool:
         return self.is_missing(point.index) and (self._only is None or point.digest in self._only)
@@ -475,7 +483,7 @@ class Pending:
     def _teams(self) -> Iterator[Team]:
         """Yield points that draw the same random numbers together, all others alone."""
         grid, missing = self._plan.grid, self._accumulator.missing
-        order = grid.coarse_first(np.flatnonzero(self._accumulator.status == MISSING))
+        order = grid.coarse_first(self._accumulator.missing_points())
         if not grid.study.draws_together:
             yield from ((missing(point), (point,)) for point in grid.points(order))
             return

@@ -480,8 +480,7 @@ def residual_figure(dataset: xr.Dataset) -> Figure:
     figure, grid = style.new_figure(11.0, 3.0 * len(rows), len(rows), 2, SKY_WIDTH, subplot_kw=projection)
     for row, (what, pair, number) in enumerate(rows):
         both = [_arrows(dataset, name, pair) for name in ("difference", "residual")]
-        lengths = [np.hypot(east, north)[~dropped] for _, _, east, north, dropped in both]
-        scales = [float(np.quantile(one, 0.9)) if one.size else 0.0 for one in lengths]  # of typical ones
+        scales = [_typical(arrows) for arrows in both]
         if scales[0] < COMMON_SCALE * scales[1] or scales[1] == 0.0:
             scales = [max(scales)] * 2
         unit = str(dataset["observable_unit"].values[pair[0]])
@@ -509,6 +508,11 @@ def _arrows(dataset: xr.Dataset, name: str, pair: list[int]) -> Arrows:
     east, north = (np.bincount(index, w * v) / np.bincount(index, w) for w, v in zip(weights.T, values.T, strict=True))
     middle = np.arcsin((cells // (2 * BANDS) + 0.5) / BANDS * 2.0 - 1.0) / DEGREE
     return (cells % (2 * BANDS) + 0.5) * 180.0 / BANDS, middle, east, north, np.zeros(len(cells), dtype=bool)
+
+
+def _typical(arrows: Arrows) -> float:
+    _, _, east, north, dropped = arrows
+    return float(np.quantile(np.hypot(east, north)[~dropped], 0.9)) if not np.all(dropped) else 0.0
 
 
 def _draw_arrows(axes: Any, arrows: Arrows, scale: float, unit: str) -> str:

@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 
 from linksweep.sweep.code import code_differences
-from linksweep.sweep.contract import DIGEST_BYTES, Experiment, Status, SweepError, converted, lost_integers, same_rows
+from linksweep.sweep.contract import DIGEST_BYTES, Experiment, SweepError, converted, lost_integers, same_rows
 from linksweep.sweep.executing.task import DECIDING
 from linksweep.sweep.formatting import host, now
 from linksweep.sweep.functions.adapter import layout_of_record
@@ -335,7 +335,7 @@ def _fail(store: Store, accumulator: Accumulator, failed: Mapping[bytes, Record]
     for digest, record in failed.items():
         if (point := points.get(digest)) is None:
             store.fail(digest, record)
-        elif accumulator.status[point.index] != Status.DONE:
+        elif not accumulator.is_done(point.index):
             accumulator.fail(point.index)
             store.fail(digest, record)
 

@@ -116,6 +116,16 @@ def check_code(store: Store, study: Study, gone: Collection[bytes] = (), accept_
         raise SweepError([meaning, *changes], str(store.location))
 
 
+def record_code(store: Store, study: Study, say: Callable[[str], None]) -> None:
+    """Record which code makes the blocks from now on, and tell the user if it has changed."""
+    records = records_with_rows(store)
+    changes = differences_of_code(records, study)
+    for sentence in changes:
+        say(f"other code goes on with {store.location}: {sentence}")
+    is_new = changes or not records
+    begin_code(store, code_of(study.experiment_reference, study.experiment) if is_new else records[-1]["code"])
+
+
 def records_with_rows(store: Store) -> list[dict[str, Any]]:
     """Return the records of code that has made rows of an open store."""
     return [record for record in records_of(store.attributes) if record["first_row"] < store.rows.end]
@@ -420,7 +430,7 @@ class Writer:
                     more = accumulator.add(point, block, rows[place : place + 1], kept, float(result.seconds[row]))
                     added += [self.plan.work((point,), one) for one in more]
             ended = tuple(point for index, point in there.items() if not accumulator.is_missing(index))
-            failed |= self._refuse_results([p.index for p in ended if accumulator.status[p.index] == Status.DONE])
+            failed |= self._refuse_results([point.index for point in ended if accumulator.is_done(point.index)])
             self.pending.add(added)
             samples = [kept for row in good if (kept := result.outcomes[row].kept) is not None]
             keys = [ledger_key(point.digest, block) for point, block in good.values()]
@@ -522,7 +532,7 @@ class Writer:
 
     def _has_its_part(self) -> bool:
         """Return whether a part has nothing left to compute: others finish the points that are missing."""
-        missing = self.plan.grid.points(np.flatnonzero(self.accumulator.status == Status.MISSING))
+        missing = self.plan.grid.points(self.accumulator.missing_points())
         blocks = ((point, block) for point in missing for block in self.accumulator.blocks(point))
         is_part = self.plan.grid.study.part is not None
         return is_part and all(ledger_key(point.digest, block) in self.store.rows for point, block in blocks)
@@ -705,7 +715,7 @@ class Session:
             failed = wanted is not None and not store.failures.keys().isdisjoint(wanted)
             is_done = is_stored and not failed and not accumulator.survey.pending.blocks
             session.is_left_alone = is_done and store.is_whole()
-            missing = np.flatnonzero(accumulator.status == Status.MISSING)
+            missing = accumulator.missing_points()
             require_known(whole, (p for p in plan.grid.points(missing) if not wanted or p.digest in wanted))
         return session
 
@@ -796,12 +806,7 @@ class Session:
             store = self.store = open_store(made, study, writes=True)
             store.keep_copy()
         store.verify()
-        records = records_with_rows(store)
-        changes = differences_of_code(records, study)
-        for sentence in changes:
-            progress.say(f"other code goes on with {store.location}: {sentence}")
-        is_new = changes or not records
-        begin_code(store, code_of(study.experiment_reference, study.experiment) if is_new else records[-1]["code"])
+        record_code(store, study, progress.say)
         if unused := len(store.rows) - self.accumulator.survey.stored.blocks:
             progress.say(f"{unused:,} blocks in the store are not part of this study; they are kept")
         return store
@@ -837,10 +842,7 @@ def plan_report(study: Study, store: Where, workers: int | None = None, accept_c
     row = experiment.reducer.dtype.itemsize
     cores = max(1, min(workers or available_cores(), available_cores(), math.ceil(pending.cost / TARGET)))
     realisations = {"realisations": survey.total.realisations, "realisations_pending": pending.realisations}
-    # What a realisation costs is nearly all random numbers.
-    rng, buffer = np.random.Generator(np.random.SFC64(0)), np.empty(65536)
-    normal = timeit(lambda: rng.standard_normal(out=buffer), number=4) / (4 * buffer.size)
-    time_left = {"seconds": round(pending.cost * normal / cores, 1), "cores": cores}
+    time_left = {"seconds": round(pending.cost / (_normals_per_second() * cores), 1), "cores": cores}
     return {
         "title": study.title,
         "grid": " x ".join(f"{name} {n}" for name, n in zip(grid.dimensions, grid.shape, strict=True)) or "one point",
@@ -854,6 +856,12 @@ def plan_report(study: Study, store: Where, workers: int | None = None, accept_c
         "store": str(store),
         "warnings": list(grid.warnings),
     }
+
+
+def _normals_per_second() -> float:
+    """Time a quarter of a million normals: what a realisation costs is nearly all random numbers."""
+    rng, buffer = np.random.Generator(np.random.SFC64(0)), np.empty(65536)
+    return 4 * buffer.size / timeit(lambda: rng.standard_normal(out=buffer), number=4)
 
 
 def run_study(
