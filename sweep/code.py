@@ -257,6 +257,12 @@ class Reach:
         texts = {label: ", ".join(sorted(some)) for label, some in self._texts.items()}
         self.parts = {k: v if len(v) <= LONGEST and v.isprintable() else digest_of(v) for k, v in texts.items()}
 
+    @property
+    def classes(self) -> dict[str, set[int]]:
+        """The ids of classes by their names, but for those that a function makes, which may make many of one name."""
+        ids = {name: {i for i, (_, one) in each.items() if isinstance(one, type)} for name, each in self._alike.items()}
+        return {name: some for name, some in ids.items() if some and "<locals>" not in name}
+
     def changed(self) -> set[str]:
         """Return what functions change that are called after what they belong to was made, as far as names tell."""
         classes = [one for known in self._alike.values() for _, one in known.values() if isinstance(one, type)]
@@ -1179,11 +1185,22 @@ def _reach(value: Any, module: str = "") -> Reach:
     return reached
 
 
-def loaded_apart(reference: str) -> set[str]:
-    """Return the modules whose files a loaded reference has loaded as others, so that there are two of each class."""
-    code = sources_of(reference)
-    files = {*code.files.values()} if isinstance(code, LocalFiles) else set()
-    return {n for n, one in sys.modules.items() if getattr(one, "__file__", "") in files and not n.startswith(PREFIX)}
+def defined_twice(reference: str, value: Any) -> str:
+    """Say why an object is of another class of one name than those that a loaded reference has: a module whose file is
+    loaded apart, or the cell of a class that was executed again.  Return '' where it is not.
+    """
+    code, reach = sources_of(reference), reach_of({"": value})
+    if isinstance(code, LocalFiles):
+        files = {*code.files.values()}
+        apart = [name for name, one in sys.modules.items() if getattr(one, "__file__", "") in files]
+        if modules := sorted({name for name in apart if not name.startswith(PREFIX)} & reach.modules.keys()):
+            why = f"is of the module {modules[0]}, which {reference} has loaded apart"
+            return f"{why}; give the function itself, and not its name"
+    elif isinstance(code, Live):
+        known = code.reach.classes
+        if again := sorted(name for name, ids in reach.classes.items() if ids.isdisjoint(known.get(name, ids))):
+            return f"is of the class {again[0]} as it was before that was defined again; make it anew"
+    return ""
 
 
 def files_read(reference: str) -> dict[str, Path]:

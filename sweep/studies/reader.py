@@ -18,7 +18,7 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from linksweep.sweep.code import Code, absolute_reference, keep, loaded_apart, reach_of
+from linksweep.sweep.code import Code, absolute_reference, defined_twice, keep
 from linksweep.sweep.contract import (
     DefinitionError,
     Experiment,
@@ -499,7 +499,6 @@ class _Reader:
         """
         objects: dict[str, tuple[Named, ...]] = {}
         reference = absolute_reference(str(self.document.get("experiment", DEFAULT_EXPERIMENT)), self.folder)
-        apart = loaded_apart(reference)
         for parameter in experiment.parameters:
             name = parameter.name
             place = "axes" if name in axes else "fixed", name
@@ -508,10 +507,9 @@ class _Reader:
                 with self.problems.at(place):
                     Values.require_labels(values)
             objects[name] = tuple({one.name: one for one in values if isinstance(one, Named)}.values())
-            for one in objects[name] if apart else ():
-                if modules := sorted(apart & reach_of({"": one.value}).modules.keys()):
-                    said = f"{one.name} is of the module {modules[0]}, which {reference} has loaded apart"
-                    self.problems.add(place, f"{said}; give the function itself, and not its name")
+            for one in objects[name]:
+                if why := defined_twice(reference, one.value):
+                    self.problems.add(place, f"{one.name} {why}")
         return experiment.with_setting("defined", objects).with_setting("when", when)
 
     def _form_and_experiment(self) -> tuple[Form, Experiment, set[str | int]]:

@@ -130,11 +130,15 @@ def test_objects_and_numbers_that_cannot_be_told_apart_are_refused(axes, said, t
     assert not (tmp_path / "s.zarr").exists()
 
 
-def test_objects_of_a_file_that_is_loaded_apart_are_refused(tmp_path, monkeypatch):
+def test_objects_of_classes_that_are_there_twice_are_refused(tmp_path, monkeypatch):
     (tmp_path / "twice.py").write_text("import enum\nK = enum.Enum('K', 'A B')\ndef g(k): return k is K.B\n")
     monkeypatch.syspath_prepend(tmp_path)
+    axes = {"k": [*(module := importlib.import_module("twice")).K]}
     with pytest.raises(linksweep.SweepError, match=r"axes\.k: A is of the module twice, which .* has loaded apart"):
-        linksweep.run(f"{tmp_path}/twice.py:g", tmp_path / "s", axes={"k": [*importlib.import_module("twice").K]})
+        linksweep.run(f"{tmp_path}/twice.py:g", tmp_path / "s", axes=axes)
+    importlib.reload(module)  # as a cell that is executed again
+    with pytest.raises(linksweep.SweepError, match=r"axes\.k: A is of the class twice\.K as it was before"):
+        linksweep.run(module.g, tmp_path / "s", axes=axes)
 
 
 def test_what_may_be_none_can_be_none(tmp_path, sweep):
