@@ -18,18 +18,8 @@ from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
-from linksweep.sweep.code import Code, absolute_reference, defined_twice, keep
-from linksweep.sweep.contract import (
-    DefinitionError,
-    Experiment,
-    Function,
-    Named,
-    SweepError,
-    Value,
-    refused,
-    shown,
-    suggest,
-)
+from linksweep.sweep.code import Code, SourceFunction, absolute_reference, defined_twice, keep
+from linksweep.sweep.contract import DefinitionError, Experiment, Named, SweepError, Value, refused, shown, suggest
 from linksweep.sweep.formatting import split_assignment
 from linksweep.sweep.functions.adapter import name_of
 from linksweep.sweep.studies import built_in_studies
@@ -587,7 +577,7 @@ class _Reader:
             self.problems.add(place, f"the experiment cannot make anything of it: {said}")
         return Named(name, name, None)  # so that its name is known where it is used
 
-    def _load(self, reference: str) -> Function:
+    def _load(self, reference: str) -> SourceFunction:
         function = self.code.function(reference, self.folder)
         self.loaded[reference] = function.reference
         return function
