@@ -1199,7 +1199,7 @@ def defined_twice(reference: str, value: Any) -> str:
     elif isinstance(code, Live):
         known = code.reach.classes
         if again := sorted(name for name, ids in reach.classes.items() if ids.isdisjoint(known.get(name, ids))):
-            return f"is of the class {again[0]} as it was before that was defined again; make it anew"
+            return f"is of another definition of the class {again[0]} than the function: make both anew"
     return ""
 
 

@@ -214,11 +214,8 @@ def test_what_has_no_place_and_no_errors_is_printed_without(tmp_path, sweep_here
     twice = linksweep.run(lambda x: x, tmp_path / "u.zarr", points={"x": [1.0, 2.0, 2.0, 3.0]}, pool="serial")
     assert fit_power_law(twice, "result", "x")["points"].item() == 3.0
     linksweep.run(kernel, tmp_path / "t.zarr", points={"name": ["flat", "rbf"], "width": [1.0, 2.0]}, pool="serial")
-    for asked, words in {
-        "z>50": "no point meets z > 50\n",
-        "z>1": "rbf",
-        "z>9 --over width": "none, as points",
-    }.items():
+    answers = {"z>50": "no point meets z > 50\n", "z>1": "rbf", "z>9 --over width": "none, as points"}
+    for asked, words in answers.items():
         assert words in "".join(sweep_here("find", tmp_path / "t.zarr", "--where", *asked.split())[1:])
     err = start_sweep("find", tmp_path / "s.zarr", "--where", "z > 5 erg/s/cm2", "--over", "width").communicate()[1]
     assert ("not convertible" in err, "Warning" in err) == (True, False)

@@ -189,7 +189,6 @@ def test_figures_and_their_words_have_true_and_false(tmp_path, sweep, over):
 def test_maps_of_truth_values_have_two_colours(tmp_path):
     ds = linksweep.run(lambda x, y: x * y > 2.0, tmp_path / "s.zarr", axes={"x": [0.0, 1.0, 2.0], "y": [0.0, 2.0, 3.0]})
     panel, bar = linksweep.plot(ds, "map").axes
-    assert panel.collections[0].get_array().tolist() == ds["result"].values.T.astype(float).tolist()
     assert [text.get_text() for text in bar.get_yticklabels()] == ["False", "True"]
     assert [text.get_text() for text in panel.get_yticklabels()] == ["0", "2", "3"]  # those of a short axis alone
     gap = ds.assign_coords(x=[0.0, np.nan, 2.0])  # one without an effect of x
