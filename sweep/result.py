@@ -111,7 +111,7 @@ def write_at_once(path: Path, write: Callable[[Path], Any]) -> None:
     with reading(path, "cannot be written"):
         real = Path(os.path.realpath(path))  # a link stays one
         real.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=real.parent, prefix=".") as folder:
+        with tempfile.TemporaryDirectory(dir=real.parent, prefix=".linksweep-") as folder:
             with warnings.catch_warnings(action="ignore"):
                 write(Path(folder) / path.name)
             (Path(folder) / path.name).replace(real)
