@@ -428,10 +428,10 @@ def name_ticks(axes: Axes, which: str, names: Sequence[str]) -> None:
     """Put names at 0, 1, 2, ... of an axis: in lines that fit, or below it turned where no lines would; only some of
     more names than lines of text have room.
     """
-    # lines can be read at 0.8 of their size, and a report makes figures smaller by as much, not their letters
-    last, step = len(names) - 0.5, int(np.ceil(in_letters(1.0) * len(names) / panel_size(axes)[which == "y"]))
+    # letters have few parts above or below others: lines can be read at 0.8 of their size
+    last, step = len(names) - 0.5, int(np.ceil(in_letters(0.8) * len(names) / panel_size(axes)[which == "y"]))
     names = names[::step]
-    # beside an axis there is an inch
+    # a report makes figures smaller, not their letters; beside an axis there is an inch
     room = 0.78 * panel_size(axes)[0] / len(names) if which == "x" else 1.1
     broken, look = [in_lines(name, room, 1) for name in names], dict[str, Any]()
     longest = max(seen(line) for text in broken for line in text.split("\n"))

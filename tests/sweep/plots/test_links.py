@@ -189,5 +189,5 @@ def test_accuracy_curves_are_those_of_the_missions():
     left, right = sky.accuracy_figure(dataset).axes
     assert (left.get_ylabel(), right.get_ylabel()) == (r"$\sigma_\mu$ [mas/yr]", r"$\sigma_\mathrm{pos}$ [mas]")
     assert left.get_yscale() == "log"
-    assert [text.get_text() for text in left.figure.legends[0].get_texts()] == ["amex", "gaia-2001"]
+    assert [text.get_text() for text in left.figure.legends[0].get_texts()] == ["model = amex", "model = gaia-2001"]
     assert len(left.collections) == 1  # the band of the calibrated one
