@@ -235,6 +235,7 @@ class Reach:
         self.unnoticed: dict[str, str] = {}
         self.statements: dict[str, str] = {}
         self.modules: dict[str, ModuleType] = {}
+        self.classes: dict[str, set[int]] = defaultdict(set)  # their ids by their names
         self.acting: list[str] = []
         self._texts: dict[str, set[str]] = defaultdict(set)
         # Numbers of functions and classes that have one name, by their ids.
@@ -256,12 +257,6 @@ class Reach:
         self._keep("order of modules", ", ".join(self.acting) if len(self.acting) > 1 else "")
         texts = {label: ", ".join(sorted(some)) for label, some in self._texts.items()}
         self.parts = {k: v if len(v) <= LONGEST and v.isprintable() else digest_of(v) for k, v in texts.items()}
-
-    @property
-    def classes(self) -> dict[str, set[int]]:
-        """The ids of classes by their names, but for those that a function makes, which may make many of one name."""
-        ids = {name: {i for i, (_, one) in each.items() if isinstance(one, type)} for name, each in self._alike.items()}
-        return {name: some for name, some in ids.items() if some and "<locals>" not in name}
 
     def changed(self) -> set[str]:
         """Return what functions change that are called after what they belong to was made, as far as names tell."""
@@ -318,6 +313,7 @@ class Reach:
             module = value.__module__ if isinstance(value.__module__, str) else "builtins"
             if self._is_users(module) or not hasattr(sys.modules.get(module), value.__qualname__.partition(".")[0]):
                 self._follow(self._class, value)
+            self.classes[label_of(value)].add(id(value))
             return f"class {self._label(value)}"
         if type(value) is FunctionType:  # not a proxy of one
             self._called.add(value.__name__)
@@ -1198,8 +1194,9 @@ def defined_twice(reference: str, value: Any) -> str:
             return f"{why}; give the function itself, and not its name"
     elif isinstance(code, Live):
         known = code.reach.classes
-        if again := sorted(name for name, ids in reach.classes.items() if ids.isdisjoint(known.get(name, ids))):
-            return f"is of another definition of the class {again[0]} than the function: make both anew"
+        again = [name for name, ids in reach.classes.items() if ids.isdisjoint(known.get(name, ids))]
+        if named := sorted(name for name in again if "<locals>" not in name):  # a function makes many of one name
+            return f"is of another definition of the class {named[0]} than the function: make both anew"
     return ""
 
 
