@@ -1181,23 +1181,25 @@ def _reach(value: Any, module: str = "") -> Reach:
     return reached
 
 
-def defined_twice(reference: str, value: Any) -> str:
-    """Say why an object is of another class of one name than those that a loaded reference has: a module whose file is
-    loaded apart, or the cell of a class that was executed again.  Return '' where it is not.
+def defined_twice(reference: str, objects: Mapping[str, Iterable[Named]]) -> Iterator[tuple[str, str]]:
+    """Yield the parameters of which an object is of another class of one name than those that a loaded reference has,
+    with a phrase for it: the file of its module is loaded apart, or the cell of its class was executed again.
     """
-    code, reach = sources_of(reference), reach_of({"": value})
-    if isinstance(code, LocalFiles):
-        files = {*code.files.values()}
-        apart = [name for name, one in sys.modules.items() if getattr(one, "__file__", "") in files]
-        if modules := sorted({name for name in apart if not name.startswith(PREFIX)} & reach.modules.keys()):
-            why = f"is of the module {modules[0]}, which {reference} has loaded apart"
-            return f"{why}; give the function itself, and not its name"
-    elif isinstance(code, Live):
-        known = code.reach.classes
+    code = sources_of(reference)
+    files = {*code.files.values()} if isinstance(code, LocalFiles) else set()
+    apart = {n for n, one in sys.modules.items() if getattr(one, "__file__", "") in files and not n.startswith(PREFIX)}
+    known = code.reach.classes if isinstance(code, Live) else {}
+    if not apart and not known:
+        return
+    for parameter, one in [(name, one) for name, some in objects.items() for one in some]:
+        reach = reach_of({"": one.value})
+        if modules := sorted(apart & reach.modules.keys()):
+            said = f"{one.name} is of the module {modules[0]}, which {reference} has loaded apart"
+            yield parameter, f"{said}; give the function itself, and not its name"
         again = [name for name, ids in reach.classes.items() if ids.isdisjoint(known.get(name, ids))]
         if named := sorted(name for name in again if "<locals>" not in name):  # a function makes many of one name
-            return f"is of another definition of the class {named[0]} than the function: make both anew"
-    return ""
+            said = f"{one.name} is of another definition of the class {named[0]} than the function"
+            yield parameter, f"{said}: make both anew"
 
 
 def files_read(reference: str) -> dict[str, Path]:

@@ -114,19 +114,24 @@ def choose(now: NormalSums, new: NormalSums, number: int, goal: Goal) -> tuple[l
     ``now`` and ``new`` are the sums of each source without and with the new rows.  While no single one determines the
     unknowns, the one that adds most to the smallest eigenvalues is taken.
     """
-    gain, k = new.matrices - now.matrices, len(goal.unknowns)
+    gain = new.matrices - now.matrices
     totals, chosen = [now.matrices.sum(axis=0)], list[int]()
     for _ in range(min(number, len(gain))):
         left = [i for i in range(len(gain)) if i not in chosen]
         trials = [totals[-1] + gain[i] for i in left]
         values = [goal.value(trial) for trial in trials]
         if not np.any(np.isfinite(values)):
-            relative = [trial[0] / (np.trace(trial[0]) / k or 1.0) + 1e-9 * np.eye(k) for trial in trials]
-            values = [-np.linalg.slogdet(matrix)[1] for matrix in relative]
+            values = [-_regularised(trial[0]) for trial in trials]
         best = left[int(np.argmin(values))]
         chosen.append(best)
         totals.append(totals[-1] + gain[best])
     return chosen, np.array(totals)
+
+
+def _regularised(normal: Array) -> float:
+    """Return a log determinant relative to the trace that is finite for a singular matrix too."""
+    size = np.trace(normal) / len(normal)
+    return float(np.linalg.slogdet(normal / size + 1e-9 * np.eye(len(normal)))[1]) if size > 0.0 else -np.inf
 
 
 # ---- tables drawn with their errors

@@ -488,7 +488,6 @@ class _Reader:
         the conditions under which they have an effect.
         """
         objects: dict[str, tuple[Named, ...]] = {}
-        reference = absolute_reference(str(self.document.get("experiment", DEFAULT_EXPERIMENT)), self.folder)
         for parameter in experiment.parameters:
             name = parameter.name
             place = "axes" if name in axes else "fixed", name
@@ -497,9 +496,9 @@ class _Reader:
                 with self.problems.at(place):
                     Values.require_labels(values)
             objects[name] = tuple({one.name: one for one in values if isinstance(one, Named)}.values())
-            for one in objects[name]:
-                if why := defined_twice(reference, one.value):
-                    self.problems.add(place, f"{one.name} {why}")
+        reference = absolute_reference(str(self.document.get("experiment", DEFAULT_EXPERIMENT)), self.folder)
+        for name, said in defined_twice(reference, objects):
+            self.problems.add(("axes" if name in axes else "fixed", name), said)
         return experiment.with_setting("defined", objects).with_setting("when", when)
 
     def _form_and_experiment(self) -> tuple[Form, Experiment, set[str | int]]:

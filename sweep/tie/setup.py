@@ -497,8 +497,8 @@ def _coarse_epochs(stars: Astrometry, table: AstrometricTable, matched: Match, r
         years = np.nanmin(rows.errors[:2], axis=0, initial=np.inf) / (np.hypot(*values[1:]) + 2.0 * np.pi * values[0])
     years[(years <= 0.0) | (years > 0.5) | (core.kind_numbers(rows) != core.SINGLE_EPOCH)] = np.nan
     days = (rows.epoch - 2000.0) * core.DAYS_PER_YEAR + 51544.5
-    in_days = files.rounded(days, 2.0 * years * core.DAYS_PER_YEAR, (0.25, 0.5, 1.0))  # half the last decimal
-    return matched.rows[np.union1d(in_days, files.rounded(rows.epoch, 2.0 * years, (1.0,)))]
+    in_days = files.too_coarse(days, 2.0 * years * core.DAYS_PER_YEAR, (0.25, 0.5, 1.0))  # half the last decimal
+    return matched.rows[np.union1d(in_days, files.too_coarse(rows.epoch, 2.0 * years, (1.0,)))]
 
 
 def _repeated(matched: Match, rows: Astrometry) -> list[Indices]:

@@ -61,7 +61,7 @@ ROUNDED = 0.01
 # Errors after a mistake in their unit is corrected, mas or mas/yr.
 TYPICAL = (0.005, 300.0)
 
-# No telescope has errors that differ by more between the coordinates, nor, in a year, between motions and positions.
+# Errors seldom differ by more between the coordinates, and never, in a year, between motions and positions.
 UNEQUAL = {(0, 1): 10.0, (3, 4): 10.0, (3, 0): 500.0, (4, 1): 500.0}
 
 # Errors of the positions of calibrators, mas.
@@ -417,7 +417,7 @@ def _check_positions(read: Columns, values: Array, errors: Array) -> None:
             size = np.abs(row) * (np.cos(values[1]) if name == "ra" else 1.0)
             what = f"positions in single precision (column {column!r}), too coarse for their errors,"
             read.check(size * 2.0**-24 > COARSE * error, what)
-        elif is_position and len(lost := rounded(row, error / np.cos(values[1] * (name == "ra")), ANGLES)):
+        elif is_position and len(lost := too_coarse(row, error / np.cos(values[1] * (name == "ra")), ANGLES)):
             what = f"{name} is written with a last decimal that is worth more than its error"
             read.notes.append(f"{what}: were digits lost? {core.named_rows(lost)}")
         read.check(np.isfinite(error) & ~np.isfinite(row), f"an error but no value of {name}")
@@ -432,7 +432,7 @@ def _in_single_precision(read: Columns, name: str) -> bool:
     return not few and np.array_equal(values, values.astype(np.float32))
 
 
-def rounded(values: Array, errors: Array, units: Iterable[float]) -> Indices:
+def too_coarse(values: Array, errors: Array, units: Iterable[float]) -> Indices:
     """Return the rows of values (N,) whose last decimal, in any of some units, is worth more than their errors."""
     values, errors = values[:10_000], errors[:10_000]  # which tell of a million
     at = np.zeros(len(values), dtype=bool)
