@@ -14,7 +14,7 @@ from linksweep.sweep.formatting import described, prefixed, short_meaning
 from linksweep.sweep.table_writer import Column, Table
 
 LARGE = 2**60 + 1
-COLUMNS = [Column("name", ["=a", "漢字", "c"], left=True), Column("k", [LARGE, math.nan, 3])]
+COLUMNS = [Column("name", [" =a", "漢字", "c"], left=True), Column("k", [LARGE, math.nan, 3])]
 COLUMNS += [Column("width_of_all", [0.1, math.nan, 2.5], ["0.10 ± 0.02", "", "2.5"], "mas", "width", rank=1)]
 COLUMNS += [Column("curve", [[1, 2], [3, 4], [5, 6]])]
 TABLE = Table(COLUMNS, "Widths", about={"units": {"width_of_all": "mas"}}, meta={"title": "Widths"})
@@ -31,10 +31,10 @@ STAYING += [(5000.0, "s"), (5000.0, "arcsec"), (1.1e-14, "W / m2"), (1e16, "m")]
 def test_programs_get_every_number_exactly_and_missing_ones_as_such():
     rows = list(csv.reader(TABLE.csv().splitlines()))
     assert rows[0] == ["name", "k", "width_of_all [mas]", "curve"]
-    assert rows[1:] == [["'=a", str(LARGE), "0.1", "[1, 2]"], ["漢字", "", "", "[3, 4]"], ["c", "3", "2.5", "[5, 6]"]]
+    assert rows[1:] == [["' =a", str(LARGE), "0.1", "[1, 2]"], ["漢字", "", "", "[3, 4]"], ["c", "3", "2.5", "[5, 6]"]]
     document = json.loads(TABLE.json())
     assert document["units"] == {"width_of_all": "mas"}
-    assert document["rows"][0] == {"name": "=a", "k": LARGE, "width_of_all": 0.1, "curve": [1, 2]}
+    assert document["rows"][0] == {"name": " =a", "k": LARGE, "width_of_all": 0.1, "curve": [1, 2]}
     assert document["rows"][1]["k"] is None
     again = AstropyTable.read(TABLE.ecsv(), format="ascii.ecsv")
     assert again["k"].tolist() == [LARGE, None, 3]

@@ -17,7 +17,7 @@ from linksweep.sweep.studies.study import printed_rounding
 
 __all__ = ["answers", "compare", "live_study", "report_of", "report_page"]
 N = np.array([10.0, 20.0, 50.0, 100.0, 300.0])
-MISSING, DONE, FAILED, EXCLUDED = Status.MISSING, Status.DONE, Status.FAILED, Status.EXCLUDED
+MISSING, DONE, FAILED, EXCLUDED, RUNNING = Status.MISSING, Status.DONE, Status.FAILED, Status.EXCLUDED, Status.RUNNING
 
 
 def grid(value, error=None, x=N, name="n", unit="", status=None, published=None, claims=(), printed=None, **more):

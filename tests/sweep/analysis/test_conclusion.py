@@ -39,16 +39,13 @@ def concluding(dataset, *sentences, grid=None, **values):
 
 ANY = {"value": {"variable": "sigma_spin"}}
 FILLED = [("GAIA {{20}}: {gaia}, {gaia:error}.", GAIA, "GAIA {20}: 0.54 uas/yr, 0.5400 ± 0.0030 uas/yr.")]
-FILLED += [("{gaia:%} of AMEX", {"ratio": RATIO, "where": {"v_max": 20.0}}, "0.0947 % of AMEX")]
-FILLED += [("{gaia}", ANY | {"choose": a}, said) for a, said in (("largest", "0.650 mas/yr"), ("least", "0.54 uas/yr"))]
+FILLED += [("{gaia:%} of AMEX", {"ratio": RATIO, "where": {"v_max": 20.0}}, "0.095 % of AMEX")]
+FILLED += [("{gaia}", ANY | {"choose": a}, said) for a, said in (("largest", "0.65 mas/yr"), ("least", "0.54 uas/yr"))]
 
 
 @pytest.mark.parametrize(("sentence", "value", "text"), FILLED)
 def test_values_are_filled_in_with_units(sentence, value, text):
-    (result,) = concluding(made(), sentence, gaia=value)
-    numbers = [[float(n) for n in re.findall(r"\d+\.?\d*", one)] for one in (result, text)]
-    assert numbers[0] == pytest.approx(numbers[1], rel=5e-3)
-    assert re.sub(r"\d+\.?\d*", "0", result) == re.sub(r"\d+\.?\d*", "0", text)
+    assert concluding(made(), sentence, gaia=value) == [text]
 
 
 @pytest.mark.parametrize("bound", ["above", "below", "equals"])
@@ -68,8 +65,9 @@ def test_a_sentence_that_does_not_hold_within_three_errors_is_not_said_to(bound,
 def test_what_is_not_there_is_said_or_left_out():
     sentences = concluding(made(status=MISSING), "It is {gaia}.", gaia=GAIA)
     assert sentences == ["No conclusion yet: numbers that it needs are missing (not done yet)."]
-    sentences = concluding(made(status=FAILED), "It is {gaia}.", "Few.", gaia=GAIA)
-    assert sentences == ["Few.", "No further conclusion: numbers that it needs are missing (failed)."]
+    for results, why in ((made(status=FAILED), "failed"), (made(np.full((2, 2), np.inf)), "not a finite number")):
+        sentences = concluding(results, "It is {gaia}.", "Few.", gaia=GAIA)
+        assert sentences == ["Few.", f"No further conclusion: numbers that it needs are missing ({why})."]
     beyond = {"value": {"variable": "sigma_spin", "at": {"model": "gaia", "v_max": 21.0}}}
     assert concluding(made(), "{beyond}", "{gaia}!", beyond=beyond, gaia=GAIA) == ["0.54 uas/yr!"]
     # zipped axes are fixed and vary together

@@ -31,10 +31,11 @@ REFUSED += [({}, ["-o", "m.ecsv", "--table", "m.ecsv"], "m.ecsv is named for two
 REFUSED += [({}, ["--table", "wide.csv/t.dat"], "is not a directory that can be written")]
 REFUSED += [({}, ["--radius", "wied=3"], "radius: no table 'wied'; did you mean 'wide'?")]
 REFUSED += [({}, ["--radius", "wide=3", "--radius", "wide=4"], "radius: wide=3, wide=4: one is named twice")]
-REFUSED += [({}, ["--column", "ra"], "columns = 'ra': must be [NAME:]KEY=COLUMN")]
+REFUSED += [({}, ["--column", "ra", "--k-sigma", "-1"], "columns = 'ra': must be [NAME:]KEY=COLUMN")]
 REFUSED += [({}, ["--k-sigma", "-1"], "k_sigma = -1: must be a finite number > 0")]
 REFUSED += [(NO_NUMBERS, ["--table", "t.dat"], "needs columns TYC1, TYC2 and TYC3, or TYC with strings")]
 REFUSED += [({"dec": MaskedColumn([1.0] * 4, mask=[0, 0, 1, 0])}, [], "no dec in row 3")]
+REFUSED += [({"ra_error": None}, ["--figure", "m.jpg"], "cannot draw there")]  # before the tables are read
 REFUSED += [({"ra_error": None}, [], "give its error in arcsec with --error"), ({"pmdec": [np.nan] * 4}, [], NO_MOTION)]
 REFUSED += [({"ra_error": [0.0, 1.0, 1.0, 1.0]}, [], "a ra_error that is not above 0 in row 1 (0)")]
 REFUSED += [({"ref_epoch": None}, [], "motions need the epoch"), ({"pmra": [2e4] * 4}, [], "no star has")]
@@ -137,9 +138,13 @@ def test_json_is_the_summary(folder):
     assert report["notes"] == ["extra has no proper motions: its positions were taken as they are"]
 
 
-def test_no_match_still_makes_every_output(folder):
+def test_no_match_still_makes_every_output_and_replaces_none_without_overwrite(folder):
+    (folder / "a.ecsv").write_text("mine")
     options = "--error 1 --radius 0.00001 --epoch 1800 -o a.ecsv --table a.dat --figure a.svg"
-    assert run(*ARGUMENTS[:2], *options.split()).exit_code == 0
+    result = run(*ARGUMENTS[:2], *options.split())
+    assert (result.exit_code, result.output) == (2, "error: a.ecsv exists; --overwrite replaces it\n")
+    assert ((folder / "a.ecsv").read_text(), len(list(folder.iterdir()))) == ("mine", 5)
+    assert run(*ARGUMENTS[:2], *options.split(), "--overwrite").exit_code == 0
     assert (len(read_matches(folder / "a.ecsv")), (folder / "a.dat").read_text()) == (0, "")
 
 
@@ -185,15 +190,6 @@ def test_the_map_shows_every_class_with_longitude_to_the_left():
     assert 0.0 < x[0] < np.pi / 2
     tick = {text.get_text(): text.get_position()[0] for text in axes.texts}
     assert tick["60°"] < tick["0°"] < tick["300°"]
-
-
-def test_an_existing_file_is_kept_without_overwrite(folder):
-    (folder / "out.ecsv").write_text("mine")
-    result = run(*ARGUMENTS, "-o", "out.ecsv")
-    assert (result.exit_code, result.output) == (2, "error: out.ecsv exists; --overwrite replaces it\n")
-    assert (folder / "out.ecsv").read_text() == "mine"
-    assert run(*ARGUMENTS, "-o", "out.ecsv", "--overwrite").exit_code == 0
-    assert len(read_matches(folder / "out.ecsv")) == 3
 
 
 @pytest.mark.parametrize(("stars", "arguments", "message"), REFUSED)

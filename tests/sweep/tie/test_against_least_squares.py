@@ -218,6 +218,9 @@ def test_what_a_clip_drops_has_no_part_in_the_rest(tmp_path, seed):
         chance = stats.chi2.sf(one.discrepancy[worst], one.count[worst])
         significant.append(chance * factor.sum() <= 0.01)
     assert int(link.step_chosen) == significant.index(False)
+    many = gaia(tmp_path / "many.fits", stars(310))
+    most = linksweep.tie(many, "zero-motion", "spin", clip="discrepancy:305", accept_misfit=True)
+    assert (int(most.step_chosen), int(most.n_sources)) == (305, 5)  # more than the steps that are always computed
 
 
 @pytest.mark.parametrize("clip", ["rayleigh", *map(slow, ("none", "median:2", "huber:1.5", "discrepancy"))])

@@ -214,8 +214,9 @@ def bright(folder):
 def test_the_published_spin_of_bright_stars_is_subtracted_and_chi2_says_whether_its_sign_is_right(tmp_path):
     tables, bins = bright(tmp_path), ("phot_g_mean_mag", [10.0, 14.0])
     spins = Table.read("linksweep/sweeps/data/edr3-spin.ecsv")
-    wrong = {name: -100.0 * spins[name] if name.startswith("omega") else spins[name] for name in spins.colnames}
-    Table(wrong).write(tmp_path / "wrong.ecsv")
+    for known, factor in (("wrong", -100.0), ("too small to say", -0.1)):
+        some = {name: factor * spins[name] if name.startswith("omega") else spins[name] for name in spins.colnames}
+        Table(some).write(tmp_path / f"{known}.ecsv")
     spins["omega_x"].convert_unit_to("mas/yr")
     spins.write(tmp_path / "spins.ecsv")
     spins.meta["sign"] = "foo"
@@ -228,7 +229,7 @@ def test_the_published_spin_of_bright_stars_is_subtracted_and_chi2_says_whether_
         for known in ("edr3-spin", tmp_path / "spins.ecsv"):
             link = linksweep.tie(*tables, "spin", bins=bins, known_spin=known, sign=sign)
             np.testing.assert_allclose(link.estimate, 0.0, atol=1e-6)
-    for known in ("spins", "wrong"):
+    for known in ("spins", "wrong", "too small to say"):
         link = linksweep.tie(*tables, "spin", known_spin=tmp_path / f"{known}.ecsv", accept_misfit=True)
         (said,) = [note for note in link.attrs["notes"] if "with the opposite sign" in note]
         assert ("sign right?" in said) == (known == "wrong")
