@@ -361,7 +361,13 @@ class Target:
             cli.drawing_styles()
 
     def put(self, result: "xr.Dataset") -> None:
-        """Print a result, write it and draw its figures."""
+        """Write a result, draw its figures, and print it, also where it cannot be written."""
+        try:
+            self._write(result)
+        finally:
+            cli.print_result(result, "json" if self.as_json else "text")
+
+    def _write(self, result: "xr.Dataset") -> None:
         from linksweep.sweep.result import Result
 
         if (output := self.output) is not None and output.suffix.lower() == ".zarr":
@@ -379,7 +385,6 @@ class Target:
                 for path, figure in figures.items():
                     style.save(figure, path)
                     cli.wrote(path)
-        cli.print_result(result, "json" if self.as_json else "text")
 
 
 @parsed

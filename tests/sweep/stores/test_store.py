@@ -195,8 +195,10 @@ def test_a_full_disk_keeps_what_was_finished(disk, tmp_path, coins, monkeypatch,
         run(document, store)
     with (disk / "more").open("ab") as more:
         more.write(bytes(shutil.disk_usage(disk).free))
-    for command in (f"plot {tmp_path}/wanted.zarr -o {figure}", f"submit quasars -o {disk}/q.zarr --slurm 2"):
-        assert "No space left on device" in sweep(*command.split(), code=2)[2]
+    tie = f"tie psrpi-de200 timing-de200 -o {disk}/t.zarr"
+    for command in (f"plot {tmp_path}/wanted.zarr -o {figure}", f"submit quasars -o {disk}/q.zarr --slurm 2", tie):
+        _, out, error = sweep(*command.split(), code=2)
+        assert ("No space left on device" in error, "epsilon_x" in out) == (True, command == tie)
     assert (figure.read_bytes(), list(disk.rglob("submit.sh"))) == (b"", [])  # as it was
     (disk / "more").unlink()
     same(run(document, store), wanted)
