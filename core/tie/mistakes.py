@@ -10,6 +10,7 @@ from functools import cache, partial
 from itertools import combinations, product
 from typing import Any, NamedTuple
 
+import erfa
 import numpy as np
 from scipy.special import chdtr, chdtrc, chdtri
 
@@ -43,8 +44,12 @@ LARGER = {
     1.0 / 15.0: "an angle taken for time: 1 s is 15 arcsec",
     1.0 / 1.5e4: "mas taken for seconds of time",
 }
+# What stands there in place of a factor for numbers that are squares.
+SQUARES = {np.nan: "variances taken for errors"}
 RATES = {365.25: "per day taken for per year", 0.01: "per century taken for per year"}
 RATES |= {10.0: "arcsec per century taken for mas per year"}
+# The velocity of a proper motion of 1 mas/yr at a parallax of 1 mas, km/s.
+KM_S = 4.74047
 # No star has a larger parallax (Proxima: 769 mas) or proper motion (Barnard's star: 10 400 mas/yr).
 LARGEST = {"mas": 1000.0, "mas/yr": 12_000.0, "mas/yr2": 300.0, "mas/yr3": 300.0}
 
@@ -240,7 +245,8 @@ def _deficit(problem: Problem, groups: Sequence[_Group]) -> str:
     for group in groups:
         names = {group.words.removeprefix("the ").partition(" of ")[0]: group.rows} | WITH_ERRORS
         wholes = [part for part in _wholes(problem) if part.table in ("satellite", group.part.table)]
-        for (factor, unit, name, rows), part in product(_in_units(LARGER, names), (group.part, *wholes[::-1])):
+        units = _in_units(LARGER | SQUARES, names)
+        for (factor, unit, name, rows), part in product(units, (group.part, *wholes[::-1])):
             change = factor, rows, part.table, part.at.tobytes()
             if change not in levels:
                 levels[change] = _levels(problem, part, _scaled(rows, factor, errors=True))
@@ -324,13 +330,16 @@ def _corrections(problem: Problem, part: _Part) -> Iterator[tuple[str, int, Chan
         yield orbits, 0, _changed(["further"], lambda further: further * np.array([[1.0]] * 4 + [[0.0]]))
         mean = f"positions of {words} that are averages: say --accelerations mean"
         yield mean, 0, lambda table: replace(table, averaged=np.full(len(table), HALF_SPAN))
-    for ratio, unit, name, rows in _in_units(SMALLER, WITH_ERRORS):
+    yield f"proper motions of {words} in km/s, taken for mas/yr", 0, _from_velocities
+    for ratio, unit, name, rows in _in_units(SMALLER | SQUARES, WITH_ERRORS):
         yield f"errors of {name} of {words} too small, {unit}", HIDES_ALL, _scaled(rows, ratio, errors=True)
     shift = best_shift(lambda years: _ratio(_applied(problem, part, _later(years)) if years else problem))
     moved = _later(shift)(problem.satellite if table == "satellite" else problem.rows)
     if not np.any(part.at & impossible(moved.errors, moved.epoch)):
         early = "early" if shift > 0.0 else "late"
-        yield f"epochs of {words} {round(abs(shift), 2):.3g} years too {early}", 0, _later(shift)
+        yield f"epochs of {words} {round(abs(shift), 2) or abs(shift):.3g} years too {early}", 0, _later(shift)
+    besselian = _changed(["epoch"], lambda epoch: erfa.epj(*erfa.epb2jd(epoch)))
+    yield f"epochs of {words} in Besselian years, taken for Julian ones", 0, besselian
 
 
 def _later(years: float) -> Change:
@@ -350,14 +359,15 @@ def _changed(names: Sequence[str], change: Callable[[Any], Any]) -> Change:
 
 
 def _scaled(rows: Sequence[int], factor: float, values: bool = False, errors: bool = False) -> Change:
-    """Return a change of values or errors by a factor; it leaves the table as it is if nothing of it is plausible then:
-    errors that no instrument has, values that vanish in their errors, or larger errors where they may be right as they
-    are.
+    """Return a change of values or errors by a factor, or of squares (NaN) to their roots; it leaves the table as it is
+    if nothing of it is plausible then: errors that no instrument has, values that vanish in their errors, or larger
+    errors where they may be right as they are.
     """
-    factors = np.ones((5, 1))
-    factors[list(rows)] = factor
 
     def change(table: Astrometry) -> Astrometry:
+        factors = np.ones_like(table.errors)
+        to_roots = np.sqrt(MAS / np.maximum(table.errors, 1e-300))  # some are exact
+        factors[list(rows)] = to_roots[list(rows)] if np.isnan(factor) else factor
         after = table.errors * np.abs(factors) if errors else table.errors
         changed = replace(table, values=table.values * factors if values else table.values, errors=after)
         used = changed.present[list(rows)]
@@ -368,11 +378,18 @@ def _scaled(rows: Sequence[int], factor: float, values: bool = False, errors: bo
         if values:
             most = LARGEST["mas" if min(rows) == 2 else "mas/yr"]
             plausible &= np.median(size - 3.0 * error) > 0.0 and np.median(size) < most
-        elif factor > 1.0:
+        elif np.median(error) > np.median(before):
             plausible &= np.median(before) < SMALLEST
         return changed if plausible else table
 
     return change
+
+
+def _from_velocities(table: Astrometry) -> Astrometry:
+    """Return a table whose proper motions are taken as velocities (km/s) where there is a parallax."""
+    factors = np.ones_like(table.values)
+    factors[3:] = np.where(table.values[2] > 0.0, table.values[2] / (KM_S * MAS), 1.0)
+    return replace(table, values=table.values * factors, errors=table.errors * factors)
 
 
 def _freed(problem: Problem, turned: bool) -> Change:

@@ -83,8 +83,9 @@ ROWS_NAMED = 5
 # A column of right ascensions without a unit, all within -24 to 24, may be in hours (or radians) as well.
 HOURS = 24.0
 
-# Epochs above the first are modified Julian dates, and those above the second Julian dates.
-MJD_FROM, JD_FROM, JD_OF_MJD = 15000.0, 2.3e6, 2400000.5
+# Epochs above the first are modified Julian dates, and those above the second Julian dates; what 0 of the former is in
+# the latter, and 2000.0 in the former.
+MJD_FROM, JD_FROM, JD_OF_MJD, MJD_OF_2000 = 15000.0, 2.3e6, 2400000.5, 51544.5
 
 # A table with these columns is of the Gaia archive, whose ra is in degrees.
 GAIA_MARKS = {"source_id", "ref_epoch"}
@@ -442,10 +443,13 @@ class Columns:
             self.check(there & np.isnan(years), f"no date like 2015-06-01 or J2015.5 (column {name!r})", texts)
             return years
         values, unit = self.numbers(name), str(column.unit)
-        values = np.where(values > JD_FROM, values - JD_OF_MJD, values)
-        if unit == "d" or (np.nanmin(values, initial=np.inf) > MJD_FROM and unit not in ("yr", "a")):
-            values = 2000.0 + (values - 51544.5) / 365.25
-        return values
+        in_days = unit == "d" or (np.nanmin(values, initial=np.inf) > MJD_FROM and unit not in ("yr", "a"))
+        return years_of_days(values) if in_days else values
+
+
+def years_of_days(days: Array) -> Array:
+    """Return the Julian years of Julian dates, modified or not."""
+    return np.asarray(2000.0 + (days - np.where(days > JD_FROM, JD_OF_MJD, 0.0) - MJD_OF_2000) / 365.25)
 
 
 def _in_utc(text: str) -> str:

@@ -24,7 +24,7 @@ from linksweep.sweep.contract import SweepError, refused
 from linksweep.sweep.executing.executor import Map
 from linksweep.sweep.formatting import first_of, split_assignment
 from linksweep.sweep.tables import reader
-from linksweep.sweep.tables.columns import Columns, conditions
+from linksweep.sweep.tables.columns import MJD_OF_2000, Columns, conditions
 from linksweep.sweep.tables.options import by_table, number, numbers, parameter
 from linksweep.sweep.tie import tables as files
 from linksweep.sweep.tie.options import SIDES, SIGNS, TABLE, Options, listed
@@ -54,6 +54,9 @@ DEFAULT_RADIUS_ARCSEC = 1.0
 FAR_DEG, FARTHEST_DEG = 10.0 / 3600.0, 1.0
 
 ARE_RIGHT = "are the names, the epochs, and the frame and units of the positions right?"
+
+# Angle (rad) by which the axes in right ascension and declination may turn between the epochs of a star beside a pole.
+LARGEST_TURN = 0.1
 
 COARSE_EPOCHS = "the epoch has too few digits for the motion of the star and the errors of the position"
 
@@ -230,7 +233,7 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
     names = _names(left, tables[SIDES[1]], matches[0])[sources]
     stars = replace(_taken(left.astrometry, sources), names=names)
     rows, source = parts[0] if len(parts) == 1 else core.joined(*parts), np.searchsorted(sources, source)
-    notes += _without_parallax(stars, rows, source)
+    notes += [*_without_parallax(stars, rows, source), *_past_poles(stars, rows, source)]
     stars = satellite_at_rest(stars, rows, source)
     epoch = default_epoch(stars.epoch) if options.epoch is None else options.epoch
     problem = Problem(stars, rows, source, Unknowns(()), epoch, options.weights, tables=tuple(tables)[1:])
@@ -269,6 +272,16 @@ def _without_parallax(stars: Astrometry, rows: Astrometry, source: Indices) -> l
     said = "positions of a single epoch are displaced by parallaxes, and these sources have none, nor motions"
     are_none = len(observed) >= 5 and squares < 4.0 * len(values)
     return [f"{said}: if they are quasars, say --extragalactic reference"] if are_none else []
+
+
+def _past_poles(stars: Astrometry, rows: Astrometry, source: Indices) -> list[str]:
+    """Return a note on stars that move past a pole before the epochs of their rows."""
+    years = np.nan_to_num(rows.epoch - stars.epoch[source])
+    motion = np.hypot(*np.nan_to_num(stars.values[3:, source])) * np.abs(np.tan(stars.values[1, source]))
+    if not len(near := np.unique(source[np.abs(years) * motion > LARGEST_TURN])):
+        return []
+    said = f"the axes of {first_of(np.asarray(stars.names)[near].tolist(), 5)} turn while the star moves past a pole"
+    return [f"{said}, which is not corrected for: the link may be off by some of its errors"]
 
 
 def quasars_at_rest(stars: Astrometry, rows: Astrometry, source: Indices, aberration: float = 0.0) -> Astrometry:
@@ -496,7 +509,7 @@ def _coarse_epochs(stars: Astrometry, table: AstrometricTable, matched: Match, r
     with np.errstate(invalid="ignore", divide="ignore"):
         years = np.nanmin(rows.errors[:2], axis=0, initial=np.inf) / (np.hypot(*values[1:]) + 2.0 * np.pi * values[0])
     years[(years <= 0.0) | (years > 0.5) | (core.kind_numbers(rows) != core.SINGLE_EPOCH)] = np.nan
-    days = (rows.epoch - 2000.0) * core.DAYS_PER_YEAR + 51544.5
+    days = (rows.epoch - 2000.0) * core.DAYS_PER_YEAR + MJD_OF_2000
     in_days = files.too_coarse(days, 2.0 * years * core.DAYS_PER_YEAR, (0.25, 0.5, 1.0))  # half the last decimal
     return matched.rows[np.union1d(in_days, files.too_coarse(rows.epoch, 2.0 * years, (1.0,)))]
 

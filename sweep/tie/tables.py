@@ -89,6 +89,10 @@ _ELEMENT = re.compile(
 )
 _IN_NUMBERS = dict.fromkeys(("none", "null", "--"), "nan") | dict.fromkeys(("t", "true"), "1")
 _IN_NUMBERS |= dict.fromkeys(("f", "false"), "0")
+# Names of columns that are like those of correlations, but for those with the colour in the Gaia archive.
+_CORRELATION = re.compile(
+    r"^(corr?|rho|cov)(?![a-z])|^(ra|dec?|plx|parallax|pm(ra|de))\w+(?<!pseudocolour)_(corr?\w*|rho|cov)$", re.I
+)
 _ELEMENT_OF_HIPPARCOS = re.compile(r"[+-]?\d*\.\d\d")  # of six characters, which may touch
 
 _BUILT_IN = Path(str(resources.files("linksweep.sweeps") / "data")).resolve()
@@ -530,6 +534,10 @@ def _correlations(read: Columns, present: Flags, checked: bool) -> Array | None:
     first, second = core.FIRST[: len(keys)], core.SECOND[: len(keys)]
     vector, named = read.name("corr_vec"), [read.name(key) for key in keys]
     names = [name or vector for name in named]
+    used = {*names, *map(read.name, CORRELATIONS)}
+    if unused := [name for name in read.names if _CORRELATION.search(name) and name not in used]:
+        said = f"{first_of(unused, 5)}: not used; if these are correlations, name them"
+        read.notes.append(f"{said}, --column ra_dec_corr={unused[0]}")
     if not any(names):
         return None
     correlations = np.array([np.full(len(read), np.nan) if name is None else read.numbers(name) for name in named])
@@ -609,7 +617,7 @@ def _radial_velocity(read: Columns) -> Array | None:
     fast = np.abs(velocity) > FASTEST_KM_S
     if np.any(fast):
         what = f"{read.name('radial_velocity')} beyond {FASTEST_KM_S:g} km/s, which no star has, is not used"
-        read.notes.append(f"{what}: {core.named_rows(np.flatnonzero(fast))}")
+        read.notes.append(f"{what}: is its unit right? {core.named_rows(np.flatnonzero(fast))}")
     return np.where(fast, np.nan, velocity)
 
 
@@ -806,8 +814,15 @@ def with_observations(
         doubt = misfit(transits)
     logging.root.handlers[:] = handlers  # gaiasupdate logs in such a way that Python adds one, which repeats our lines
     digests = {str(file): digest_of(built_in(Path(file))) for file in files}
-    epochs = Epochs(transits, paths, rows, digests, doubt, notes)
+    epochs = Epochs(transits, paths, rows, digests, doubt, [*notes, *_coarse_angles(observed)])
     return replace(left, astrometry=transits.in_place(paths, left.astrometry, rows)), epochs
+
+
+def _coarse_angles(observed: Mapping[str, Array]) -> list[str]:
+    """Return a note on angles that are rounded too much: they turn positions, by distances as large as those along."""
+    angles = observed[ERROR] / (np.abs(observed[VALUE]) + observed[ERROR])
+    said = "scan_pos_angle has too few digits for the errors of the positions: were digits lost?"
+    return [said] if len(too_coarse(observed["scan_pos_angle"], angles, (1.0, DEGREE))) else []
 
 
 def _models(
@@ -839,8 +854,8 @@ def _orbits(place: Mapping[str, int], path: Path, epoch: float, notes: list[str]
     days, time, e = (read.quantity(name, "allowed") for name in ("period", "t_periastron", "eccentricity"))
     period = days / core.DAYS_PER_YEAR
     start = read.julian_years("ref_epoch") if "ref_epoch" in table.colnames else epoch
-    julian = 2000.0 + (time - np.where(time > archives.JD_FROM, 2451545.0, 51544.5)) / core.DAYS_PER_YEAR
-    periastron = np.where(time > archives.MJD_FROM, julian, start + time / core.DAYS_PER_YEAR) - epoch
+    of_dates, since = archives.years_of_days(time), start + time / core.DAYS_PER_YEAR
+    periastron = np.where(time > archives.MJD_FROM, of_dates, since) - epoch
     planes = []
     if THIELE_INNES in shapes:
         planes.append(np.array([read.numbers(name) for name in THIELE_INNES]).T.reshape(-1, 2, 2))

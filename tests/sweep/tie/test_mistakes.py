@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
 from astropy.table import Column
+from astropy.time import Time
 from click.testing import CliRunner
 
 import linksweep
@@ -26,13 +27,14 @@ ERRORS = tuple(f"{name}_error" for name in NAMES)
 CORRELATIONS = [f"{one}_{other}_corr" for one, other in combinations(NAMES, 2)]
 EXCHANGED = {a + end: lambda t, name=b + end: t[name] for a, b in (MOTIONS, MOTIONS[::-1]) for end in ("", "_error")}
 WITHOUT_COS = {n: lambda table, n=n: table[n] / np.cos(np.radians(table["dec"])) for n in ("pmra", "pmra_error")}
+VELOCITIES = {n: lambda t, n=n: 4.74 * t[n] / t["parallax"] for n in (*MOTIONS, *ERRORS[3:])}
 DECLARED = {n: lambda table, n=n: Column(table[n].data, unit="deg") for n in POSITIONS}
 
 
-def sky(n, seed):
+def sky(n, seed, pm=60.0, scale=1.0):
     """Return a satellite's table and VLBI rows: three or four positions of a star, and some motions and parallaxes."""
     rng = np.random.default_rng(seed)
-    truth, names = stars(n, seed + 1, pm=60.0, parallax=15.0), 10**17 + 7 * np.arange(n)
+    truth, names = stars(n, seed + 1, pm, parallax=15.0), 10**17 + 7 * np.arange(n)
     ours = replace(truth, values=seen_by_satellite(truth, EPSILON, OMEGA))
     step = noise(rng, ours) / [np.cos(ours.values[1]), *np.ones((4, n))]
     source = np.concatenate([np.repeat(np.arange(n), 3 + np.arange(n) % 2), np.arange(0, n, 2)])
@@ -42,7 +44,7 @@ def sky(n, seed):
     values = propagated(there.values, there.radial_velocity, there.epoch, epoch)
     along = np.array([np.cos(values[1]), np.ones(size)])
     values[:2] += ~is_motion * parallax_factors(*values[:2], epoch) * values[2] / along
-    errors = np.array([0.15, 0.2, 0.1, 0.05, 0.05])[:, None] * rng.uniform(0.5, 2.0, (5, size)) * MAS
+    errors = scale * np.array([0.15, 0.2, 0.1, 0.05, 0.05])[:, None] * rng.uniform(0.5, 2.0, (5, size)) * MAS
     values += errors * rng.normal(size=(5, size)) / [along[0], *np.ones((4, size))]
     is_position = np.arange(5)[:, None] < 2
     errors = np.where(is_position != is_motion, errors, np.nan)
@@ -108,6 +110,7 @@ MISTAKES = {
     "parallax in arcsec": ("satellite", scaled(["parallax"], 1e-3), "parallaxes of the satellite, arcsec taken"),
     "motions per 100 yr there": ("reference", scaled(MOTIONS, 100.0), "motions of the reference, per century taken"),
     "arcsec per 100 yr": ("satellite", scaled([*MOTIONS, *ERRORS[3:]], 0.1), "arcsec per century taken"),
+    "velocities": ("satellite", VELOCITIES, "proper motions of the satellite in km/s, taken for mas/yr"),
     "position errors in deg": ("satellite", scaled(POSITIONS, 1.0 / 3.6e6), "deg taken for mas"),
     "position errors in arcsec there": ("reference", positions_alone_in_arcsec, "errors of pos.* small, arcsec taken"),
     "position errors in rad there": ("reference", scaled(POSITIONS, MAS), "no (known m|instrument)"),
@@ -181,6 +184,22 @@ def test_an_absurd_link_is_printed_but_not_written_unless_it_is_accepted_also_in
         linksweep.run(study, tmp_path / "s.zarr", pool="serial")
     study["fixed"] = tables | {"accept_misfit": True}
     assert "is mu_alpha" in linksweep.run(study, tmp_path / "s.zarr", pool="serial").attrs["warnings"]
+
+
+def test_precise_tables_show_other_years_variances_and_stars_at_a_pole(tmp_path):
+    for names, change, said in (
+        (["ref_epoch"], lambda years: Time(years, format="jyear").byear, "reference in Besselian years, taken for"),
+        (POSITIONS, np.square, "errors of positions of the reference too small, variances taken for errors"),
+        (["dec"], lambda dec: np.where(abs(dec - dec[0]) < 0.1, 89.995, dec), f"the axes of {10**17} turn while"),
+    ):
+        satellite, reference = sky(9, 2, pm=500.0, scale=0.1)
+        changed = [satellite, reference] if names == ["dec"] else [reference]
+        for table in changed:
+            table.update({name: change(np.array(table[name])) for name in names})
+        reference["rho"] = 0.5
+        notes = " ".join(solved(tmp_path, satellite, reference))
+        assert said in notes
+        assert "reference.fits: rho: not used; if these are correlations" in notes
 
 
 @pytest.mark.parametrize("size", [slow(2.5), 10.0])
