@@ -534,8 +534,8 @@ def _correlations(read: Columns, present: Flags, checked: bool) -> Array | None:
     first, second = core.FIRST[: len(keys)], core.SECOND[: len(keys)]
     vector, named = read.name("corr_vec"), [read.name(key) for key in keys]
     names = [name or vector for name in named]
-    used = {*names, *map(read.name, CORRELATIONS)}
-    if unused := [name for name in read.names if _CORRELATION.search(name) and name not in used]:
+    there = {*names, *map(read.name, CORRELATIONS)}
+    if unused := [name for name in read.names if _CORRELATION.search(name) and name not in there]:
         said = f"{first_of(unused, 5)}: not used; if these are correlations, name them"
         read.notes.append(f"{said}, --column ra_dec_corr={unused[0]}")
     if not any(names):
