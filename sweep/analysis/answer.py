@@ -179,9 +179,11 @@ def _range(part: xr.Dataset, array: xr.DataArray, errors: Array, unit: str) -> s
 def _what_changes_it(axes: list[str], values: Array, errors: Array, unit: str) -> Iterator[str]:
     """Yield by what a quantity changes at most along each axis, all else being equal: a factor where it is above 0.
 
-    Axes along which no two values differ by more than their errors allow are not mentioned.
+    Axes along which no two values differ by more than their errors allow are not mentioned: the more pairs of values
+    there are, the farther apart noise drives one of them.
     """
-    doubt = np.nan_to_num(ERRORS_ALLOWED * errors / np.sqrt(2.0))
+    pairs = max(np.isfinite(values).sum(), 2.0) ** 2 / 4.0
+    doubt = np.sqrt(ERRORS_ALLOWED**2 / 2.0 + np.log(pairs)) * errors  # NaN where nothing is sure
     is_factor = np.nanmin(values) > 0.0
     change = np.divide if is_factor else np.subtract
     with np.errstate(over="ignore"):  # a change that is no float is not said

@@ -66,6 +66,10 @@ def test_the_answer_adds_the_parts_of_an_error_counts_what_agrees_with_the_predi
     assert "It is between 5 mas (model=new, size=2) and 8 mas (model=old, size=1), over 3 points." in sentences(dataset)
     said = "Incomplete: 3 of 5 points are done, 1 missing and 1 failed. What follows is about those that are done."
     assert (completeness(dataset), completeness(grid(VALUES))) == ([said], [])
+    noise = np.random.default_rng(7).standard_normal((100, 100))  # of which two differ by 5 errors
+    assert not any("What changes it" in sentences(made.grid([y], 1.0, x=np.arange(100.0))) for y in noise)
+    assert "What changes it" not in sentences(made.grid([np.arange(10.0)], np.nan, x=np.arange(10.0)))
+    assert "n by up to 9 mas" in sentences(made.grid([np.arange(10.0)], 0.5, x=np.arange(10.0)))
 
 
 @pytest.mark.parametrize("undone", [Status.MISSING, slow(Status.FAILED)])
@@ -186,7 +190,8 @@ def test_the_answer_names_range_places_and_what_surely_changes_it(seed, error, l
     for axis, lines in (("model", value.T), ("size", value)):
         pairs = [pair for line in lines for pair in permutations(line, 2)]
         largest = max(one / other if is_factor else one - other for one, other in pairs)
-        is_sure = any(one - other > 3.0 * np.hypot(error, error) for one, other in pairs)
+        sure = np.sqrt(9.0 + 2.0 * np.log(9)) * np.hypot(error, error)  # three errors, and one of nine pairs
+        is_sure = any(one - other > sure for one, other in pairs)
         if is_sure and largest >= (1.005 if is_factor else 0.005 * np.ptp(value)):
             expected[axis] = largest
     said = re.findall(r"(model|size) by (?:a factor of )?up to ([\d.]+)( uas)?", text)
