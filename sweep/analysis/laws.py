@@ -11,7 +11,7 @@ import json
 import math
 import operator
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
@@ -98,6 +98,15 @@ class Line:
     def decided(self, level: float) -> NDArray[np.bool_]:
         """Return which points are surely on one side of a level, as far as their errors are known."""
         return ~(abs(self.y - level) < SURE * self.sigmas())
+
+    def undecided(self, level: float, met: NDArray[np.bool_]) -> Iterator[tuple[NDArray[np.intp], int]]:
+        """Yield each row of neighbouring points that are not decided, and how often ``met`` changes along and beside
+        it.
+        """
+        ends = np.flatnonzero(~self.decided(level))
+        for some in np.split(ends, np.flatnonzero(np.diff(ends) > 1) + 1) if ends.size else ():
+            beside = met[max(some[0] - 1, 0) : some[-1] + 2]
+            yield some, int(np.count_nonzero(beside[1:] != beside[:-1]))
 
     def sigmas(self) -> Array:
         """Return the one-sigma error of each point, (n,)."""
@@ -511,7 +520,7 @@ def find(dataset: xr.Dataset, limit: Limit | str, over: str) -> xr.Dataset:
     rows = [_cross(line, limit, thresholds[line.unit], made.over_unit) for line in made.lines]
     axis = np.unique(quantity.numbers(dataset, over))
     for row, line in zip(rows, made.lines, strict=True):
-        words = _crossing_in_words(row, made.over_unit, line, thresholds[line.unit])
+        words = _crossing_in_words(row, made.over_unit, line, limit, thresholds[line.unit])
         row["conclusion"] = words + _part_in_words(line.x, axis[np.isfinite(axis)])
     notes = [f"{limit} along {over}; errors: {made.errors}"]
     result = made.dataset(rows, ["conclusion"], notes, result="crossings", condition=str(limit))
@@ -592,14 +601,15 @@ def _crossing(line: Line, i: int, threshold: float, over_unit: str) -> tuple[flo
 
     The line is within two of its errors of the threshold up to two errors of the place, in the unit of the axis, on the
     side where that is farther (Fieller 1954): noise, which chooses the points on both sides, makes the line between
-    them too steep.  The error is NaN where the line does not leave the threshold, on the side that it crosses to.
+    them too steep.  Where it also makes the line cross back, as between close points, the last crossing before a point
+    that is surely beyond counts.  The error is NaN where the line does not leave the threshold, on the side that it
+    crosses to.
     """
     (u, *_), z = _pair(line, i, threshold), on_scale(line.x, over_unit)
-    fraction = u[0] / (u[0] - u[1])
-    place = z[i] + fraction * (z[i + 1] - z[i])
+    place = z[i] + u[0] / (u[0] - u[1]) * (z[i + 1] - z[i])
     mirrored = replace(line, y=np.flip(line.y), errors=np.flip(line.errors))
-    after = _reach(line, z, i, fraction, threshold)
-    before = _reach(mirrored, -z[::-1], len(z) - 2 - i, 1.0 - fraction, threshold)
+    after = _reach(line, z, i, threshold)
+    before = _reach(mirrored, -z[::-1], len(z) - 2 - i, threshold)
     back = np.positive if z is line.x else np.exp
     with np.errstate(over="ignore"):  # a reach beyond all floats is not known
         places = back(np.array([place, after, -before]))
@@ -608,14 +618,20 @@ def _crossing(line: Line, i: int, threshold: float, over_unit: str) -> tuple[flo
 
 
 @np.errstate(all="ignore")  # what is no number is no reach
-def _reach(line: Line, z: Array, start: int, fraction: float, threshold: float) -> float:
+def _reach(line: Line, z: Array, start: int, threshold: float) -> float:
     """Return up to which place a line is within `SIGMAS` of its errors of a threshold, or on the side it comes from,
-    from where it meets it, a fraction of the way from point ``start`` to the next; beyond the last point the line goes
-    on.  NaN if there is no such place.
+    from where it last meets it between point ``start`` and one that is surely beyond; after the last point the line
+    goes on.  NaN if there is no such place.
     """
     side = np.sign(line.y[start + 1] - line.y[start])
+    beyond = (side * (line.y - threshold) / line.sigmas())[start + 1 :]
+    # The more points there are, the farther noise drives one of them.
+    sure = np.argmax([*(beyond >= np.sqrt(SURE**2 + 2.0 * np.log(len(z)))), True])
+    back = np.flatnonzero(beyond[:sure] < 0.0)
+    start += int(back[-1]) + 1 if back.size else 0
     for i in range(start, len(z) - 1):
         u, spread, _ = _pair(line, i, threshold)
+        fraction = u[0] / (u[0] - u[1]) if i == start else 0.0
         at, along = np.array([1.0 - fraction, fraction]), np.array([-1.0, 1.0])
         spread = SIGMAS**2 * small_sample_factor(line.samples) * spread
         # The square of the line less that of its errors is c + 2 b s + a s^2 at a distance s.
@@ -629,7 +645,6 @@ def _reach(line: Line, z: Array, start: int, fraction: float, threshold: float) 
         s = 0.0 if c >= 0.0 <= side * off else min(ends, default=np.inf)
         if np.isfinite(s) and (fraction + s <= 1.0 or i == len(z) - 2):
             return float(z[i] + (fraction + s) * (z[i + 1] - z[i]))
-        fraction = 0.0
     return np.nan
 
 
@@ -660,7 +675,8 @@ def power_law(x: Array, y: Array, errors: Array, samples: float = np.inf) -> dic
 
     ``x`` and ``y`` (n,) are positive; ``errors`` are one sigma of y, (n,), or the covariance of y, (n, n).  The errors
     of the law follow from the errors of y, whatever the scatter.  Unless all errors (n,) are known and positive, all
-    points weigh the same, and the errors of the law come from the scatter (0 for two points, which have none).
+    points weigh the same, and the errors of the law come from the scatter (0 for two points, which have none), which is
+    at least that of rounding.
     If the covariance was estimated from ``samples``, only its diagonal gives weights, as its inverse would follow its
     noise; the errors of the law with these weights are computed from all of it.  If ``samples`` is NaN, the
     covariance of points with errors (n,) is not known: the errors give weights, and the errors of the law are NaN.
@@ -676,7 +692,8 @@ def power_law(x: Array, y: Array, errors: Array, samples: float = np.inf) -> dic
     exponent = u @ v / information
     dof = len(x) - 2
     chi2 = _chi2(v - exponent * u, np.stack([ones, u], axis=1), covariance, relative, samples)
-    unit = 1.0 if known else chi2 / dof if dof > 0 else 0.0
+    rounding = np.finfo(float).eps * (1.0 + np.abs([np.log(x), np.log(y)]).max())
+    unit = 1.0 if known else max(chi2 / dof, rounding**2) if dof > 0 else 0.0
     solve = np.stack([u / information, ones / total])
     spread = unit * float(small_sample_factor(samples)) * solve @ covariance @ solve.T
     exponent_error, relative_error = np.sqrt(np.diag(spread).clip(min=0.0))  # 0 but for rounding where all is shared
@@ -838,22 +855,24 @@ def _levelling_in_words(row: Mapping[str, float], x: Array, unit: str) -> str:
     return f"{words}; {end}{doubt}"
 
 
-def _crossing_in_words(row: Mapping[str, Any], unit: str, line: Line, threshold: float) -> str:
-    met = row["met"]
-    words = MET_WORDS[met]
-    names = ("first", "last") if row["crossings"] else ()
+def _crossing_in_words(row: Mapping[str, Any], unit: str, line: Line, limit: Limit, threshold: float) -> str:
+    if (met := row["met"]) == LEFT_OUT:
+        return MET_WORDS[met]
+    names, n = ("first", "last") if row["crossings"] else (), len(line.x)
     places = [f"{_place_on(line.x, row[name], row[f'{name}_error'])} {unit}".rstrip() for name in names]
-    if met in (FROM, UP_TO):
-        return f"{words} {places[0]}"
     if met == SEVERAL:
-        return f"{words}, first at {places[0]}, last at {places[1]}"
-    if met == LEFT_OUT:
-        return words
-    at = plain([row["nearest_at"], *line.x.tolist()])[0]
-    where = f" at {at} {unit}".rstrip() if at else ""
-    nearest, undecided = with_unit(row["nearest"], row["nearest_error"], line.unit), (~line.decided(threshold)).sum()
-    doubt = f"; not decided: {undecided} of {len(line.x)} points are within {SURE:g} errors of it" if undecided else ""
-    return f"{words}; {nearest}{where} is nearest to the limit{doubt}"
+        what = f", first at {places[0]}, last at {places[1]}"
+    elif places:
+        what = f" {places[0]}"
+    else:
+        at = plain([row["nearest_at"], *line.x.tolist()])[0]
+        where = f" at {at} {unit}".rstrip() if at else ""
+        what = f"; {with_unit(row['nearest'], row['nearest_error'], line.unit)}{where} is nearest to the limit"
+    rows = line.undecided(threshold, limit.is_met(line.y, threshold))
+    # A single crossing between points that are decided is sure.
+    unsure = sum(len(some) for some, changes in rows if changes != 1 or some[0] == 0 or some[-1] == n - 1)
+    doubt = f"; not decided: {unsure} of {n} points are within {SURE:g} errors of the limit" if unsure else ""
+    return f"{MET_WORDS[met]}{what}{doubt}"
 
 
 def _part_in_words(x: Array, axis: Array) -> str:

@@ -134,12 +134,10 @@ def at_crossings(line: laws.Line, met: NDArray[np.bool_], level: float, within: 
         is_enough = known <= within
         are_known &= is_enough or not near
         yield known, [] if near or is_enough else [i], {end: (known / within) ** 2} if near and not is_enough else {}
-    ends = np.flatnonzero(~decided)
-    for some in np.split(ends, np.flatnonzero(np.diff(ends) > 1) + 1) if ends.size else ():
-        if len(set(met[max(some[0] - 1, 0) : some[-1] + 2].tolist())) == 1:
-            sigmas = np.maximum(abs(y[some] - level) / errors[some], 1e-3)
-            factors = zip(some.tolist(), ((laws.SURE / sigmas) ** 2).tolist(), strict=True)
-            yield math.inf, [], dict(factors) if are_known else {}
+    for some in (some for some, changes in line.undecided(level, met) if not changes):
+        sigmas = np.maximum(abs(y[some] - level) / errors[some], 1e-3)
+        factors = zip(some.tolist(), ((laws.SURE / sigmas) ** 2).tolist(), strict=True)
+        yield math.inf, [], dict(factors) if are_known else {}
 
 
 Pairs = Container[tuple[float, float]]
@@ -214,10 +212,11 @@ def looked_at(asked: Study, now: Study, rounds: Sequence[Round], goal: Goal, dat
         factors += [(line, i, factor) for *_, some in lacks for i, factor in some.items()]
     status, numbers = dataset["status"], asked.numbers()
     spent = int(dataset["n_sim_done"].sum() if numbers else (status == Status.DONE).sum())
-    finest = finest if is_find else float(np.diff(sorted(now.axes[over])).min())
-    per_line = math.floor((axis[-1] - axis[0]) / max(finest, nearest) * ROUNDING) + 1
-    per_line, each = max(per_line, len(axis)), math.prod(numbers.values())
-    full = per_line * (status.size // dataset[over].size) * each
+    spacing = max(finest if is_find else float(np.diff(sorted(now.axes[over])).min()), nearest)
+    there, each = [line.x for line in made.lines if line.x.size], math.prod(numbers.values())
+    of_lines = sum(max(math.floor(np.ptp(x) / spacing * ROUNDING) + 1, int(np.isin(x, axis).sum())) for x in there)
+    components = len(made.lines) * dataset[over].size // status.size  # whose lines are of the same points
+    full = of_lines // components * each
     gaps.sort(key=lambda gap: -gap[0])  # what is known least comes first, as there may not be points for all
     affordable = None if most is None else max(0, most - spent) // each
     points = dict(islice(_midpoints(asked, now, over, [gap[1:] for gap in gaps]).items(), affordable))

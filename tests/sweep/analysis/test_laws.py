@@ -233,6 +233,13 @@ def test_crossings_of_points_with_errors_of_any_size(noise, truth):
         assert known.mean() > 0.85  # else the line may cross nowhere
         within = np.mean(abs(actual["first"].values - at)[known] < 2.0 * error[known])
         assert 0.955 - 4.0 * np.sqrt(0.955 * 0.045 / 400) < within < 0.999
+    x = np.linspace(0.0, 4.0, 801)  # so close that noise makes a line cross many times
+    y = x - truth + noise * np.random.default_rng(5).standard_normal((100, 801))
+    actual = find(grid(y, noise, x=x), "width > 0", "n")
+    for name in ("first", "last"):
+        assert np.mean(abs(actual[name].values - truth) < 2.0 * actual[f"{name}_error"].values) > 0.93
+    is_said = np.array(["not decided" in words for words in actual["conclusion"].values])
+    assert is_said[actual["crossings"].values > 1].all()
 
 
 @pytest.mark.parametrize("mirrored", [slow(False), True])

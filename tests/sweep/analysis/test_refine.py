@@ -286,3 +286,5 @@ def test_the_command_says_what_is_known_and_what_it_took(sweep, tmp_path):
     for more in ("9 --until error<0.1", "0.1 --until error<0.1", "0.1 --find inverse<0.6"):  # no other full grid
         out = sweep(*two, *more.split(), cwd=tmp_path, code=0)[1]
         assert ("100 % of" in out, "whole numbers; written" in out, "inf" in out) == (True, True, False)
+    part = "x=1,9 --axis y=1,2 --exclude y=2,x>5 --along x --find inverse<0.3 --within 1 -o p.zarr --json"
+    assert json.loads(sweep(*two[:3], *part.split(), cwd=tmp_path, code=0)[1])["full"] == 10  # nine, and one of y = 2
