@@ -176,6 +176,9 @@ def test_the_command_prints_writes_and_draws(tmp_path, sweep):
     (tmp_path / "plane.py").write_text("def plane(a: float, b: float):\n    return {'z': a + 2.0 * b}\n")
     run(f"{tmp_path}/plane.py:plane", tmp_path / "s.zarr", axes={"a": [0, 1.0, 2.0, 3.0], "b": [0, 1.0, 2.0, 3.0]})
     assert "by analysis of variance of the grid, from 16 points" in sweep("sensitivity", "s.zarr", cwd=tmp_path)[1]
+    zipped = {"experiment": f"{tmp_path}/plane.py:plane", "axes": {"a": [0.0, 1.0, 3.0], "b": [0.0, 1.0, 3.0]}}
+    joint = sensitivity(run(zipped | {"grid": {"zip": [["a", "b"]]}}, tmp_path / "z.zarr"))
+    assert (joint.parameter.item(), "fewer than" in joint.attrs["notes"]) == ("a+b", False)
     for name in ("s.png", "i.zarr"):
         out = sweep("sensitivity", "s.zarr", "--json", "-o", name, cwd=tmp_path, code=0)[1]
         assert (tmp_path / name).exists()

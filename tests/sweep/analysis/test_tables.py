@@ -11,7 +11,7 @@ from hypothesis import given, settings, strategies as st
 
 import linksweep
 from linksweep.sweep.analysis.quantity import select
-from tests.sweep.analysis.made import DONE, RUNNING, N, answers, grid, shown, text_of
+from tests.sweep.analysis.made import DONE, RUNNING, N, Result, answers, grid, shown, text_of
 from tests.tiers import examples
 
 LARGE = 2**60
@@ -96,6 +96,9 @@ def test_a_prediction_with_its_bias_and_a_published_number_are_shown_with_the_di
     assert "300 0.6612 0.0027 1.2" in " ".join(text_of(kinds).split())  # digits of the least error, where one changes
     text = text_of(grid(28.0, published={(0, 0): "28"}))  # what is met exactly is a sentence and no column
     assert ("width: all published values are met exactly" in text, "difference" in text) == (True, False)
+    both = dataset.assign({name.replace("width", "size"): part for name, part in dataset.drop_vars("status").items()})
+    _, left_out = Result(both).tables()[0].fitting(70)  # all of the second before anything of the first
+    assert left_out == "size, size predicted, size published, size difference"
     for place, is_shown in ((3, True), (299, False)):  # a table has the first 200 points
         status = np.where(np.arange(300) == place, RUNNING, DONE).reshape(2, 150)
         many = grid(1.0, x=np.arange(150.0), status=status).assign(n_sim_done=(axes, np.full((2, 150), 7)))
