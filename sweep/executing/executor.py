@@ -186,8 +186,8 @@ class _Trial:
         self.inside = self._deaths = 0
 
     def rest(self) -> Task:
-        """Return what a child is to compute next."""
-        return replace(self.task, units=tuple(self.units))
+        """Return what a child is to compute next: of a unit that was taken apart its points alone."""
+        return replace(self.task, units=tuple(self.units)[: self.inside or None])
 
     def take(self, result: TaskResult) -> None:
         """Add the result of the first units."""

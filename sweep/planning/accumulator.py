@@ -447,11 +447,9 @@ class Pending:
         return known or next(self._fresh, None) or next(self._wanted(self._added), None)
 
     def _wanted(self, works: deque[Work]) -> Iterator[Work]:
-        """Take works; yield those of points that have not failed meanwhile."""
+        """Take works; yield them without the points that have failed meanwhile."""
         while works:
-            work = works.popleft()
-            if any(self._accumulator.is_missing(point.index) for point in work.points):
-                yield work
+            yield from self._work(*works.popleft()[:2])
 
     def _in_turns(self) -> Iterator[Work]:
         """Yield the work of all points in turns: one block of each at first, then two more, then four.
@@ -502,6 +500,9 @@ class Pending:
         """Yield the work of some blocks of a team, without the points that have failed meanwhile."""
         blocks, wanting = team
         for block in blocks[first:last]:
-            points = wanting if isinstance(wanting, tuple) else wanting[block]
-            if left := tuple([point for point in points if self._accumulator.is_missing(point.index)]):
-                yield self._plan.work(left, block)
+            yield from self._work(wanting if isinstance(wanting, tuple) else wanting[block], block)
+
+    def _work(self, points: Iterable[GridPoint], block: Block) -> Iterator[Work]:
+        """Yield the work of a block of points without those that have failed meanwhile; none if all have."""
+        if left := tuple([point for point in points if self._accumulator.is_missing(point.index)]):
+            yield self._plan.work(left, block)

@@ -108,10 +108,12 @@ def test_a_point_that_ends_its_process_once_is_computed_again_whatever_others_di
 
 
 @pytest.mark.slow
-def test_of_points_that_share_random_numbers_the_one_that_ends_its_process_fails_alone(tmp_path):
-    code = (Path(__file__).parents[1] / "spread.py").read_text()
-    ends = "    import os\n    any(p['x'] == 1.0 for p in points) and os._exit(3)\n"
-    sampling = {"n_sim": 64, "n_cat": 2, "seed": 5, "common_random_numbers": True}
+def test_of_points_that_share_random_numbers_the_one_that_ends_its_process_fails_alone(tmp_path, monkeypatch):
+    monkeypatch.setattr("linksweep.sweep.planning.accumulator.SHORTEST_TASK_S", 1e6)  # two tasks have all blocks
+    code = (Path(__file__).parents[1] / "spread.py").read_text().replace("SCATTER = 0.3", "CALLS, SCATTER = [], 0.3")
+    ends = "    import glob, os\n    CALLS.append(0)\n    if any(p['x'] == 1.0 for p in points) and "
+    ends += "(CALLS[3:] or glob.glob(f'{__file__}.*')):\n        os._exit(os.mkdir(f'{__file__}.{os.getpid()}') or 3)\n"
+    sampling = {"n_sim": 10 * 512, "seed": 5, "common_random_numbers": True}
     result = []
     for name, text in (("whole", code), ("broken", code.replace("    squares = []\n", f"{ends}    squares = []\n"))):
         (tmp_path / f"{name}.py").write_text(text)
@@ -119,6 +121,7 @@ def test_of_points_that_share_random_numbers_the_one_that_ends_its_process_fails
         result.append(run(study | {"sampling": sampling}, tmp_path / f"{name}.zarr"))
     assert result[1].status.values.tolist() == [1, 2, 1, 1]
     assert result[1].width.values[[0, 2, 3]].tolist() == result[0].width.values[[0, 2, 3]].tolist()
+    assert len([*tmp_path.glob("broken.py.*")]) == 4  # and no other block tries it again
 
 
 @pytest.mark.slow
