@@ -35,6 +35,7 @@ WRONG = [  # what is declared, and what is said of it
     ({"outputs": mean(Output("mean_published"))}, "'mean_published': this name is for what is published of mean"),
     ({"evaluate": lambda points, rng: {}}, "takes (points, rng), but is called with (points, n_sim, rng, catalogue_"),
     ({"outputs": mean(Output("error"), errors=("eror",))}, "'eror' is no output with its dimensions and unit; did you"),
+    ({"evaluate": None}, "evaluate = None: must be a function"),
     ({"packages": ("nunpy",)}, "packages: 'nunpy' is not installed"),
 ]
 

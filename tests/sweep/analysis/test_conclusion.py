@@ -16,6 +16,7 @@ BAD = [("{gaja}", GAIA, "sentences: unknown value 'gaja'; did you mean 'gaia'?")
 BAD += [("{gaia", GAIA, "sentences.0: '{gaia': expected '}' before end of string")]
 BAD += [("{gaia}", {"value": {"variable": "sigma_spin", "at": AT | {"v_max": 19.0}}}, "19.0 is not on the axis")]
 BAD += [("{gaia}", {"value": {"variable": "sigma_spin"}}, "model has several values; fix it with 'where', or choose")]
+BAD += [("{gaia}", {"value": {"variable": "covariance", "at": AT}}, "component_other; at most one is allowed")]
 BAD += [("{gaia}", {}, "needs exactly one of slope, ratio and value")]
 
 

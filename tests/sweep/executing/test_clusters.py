@@ -49,6 +49,7 @@ WRONG_FILES += [(LOCAL, "write either scale = WORKERS or adapt"), (LOCAL + "scal
 WRONG_FILES += [slow(LOCAL + "scale = { dwarfs = 7 }\n", "unexpected keyword argument 'dwarfs'")]
 WRONG_FILES += [(LOCAL + "adapt = { minimum = 1 }\n", "adapt: must say a maximum"), ("scale = = 1\n", "not valid TOML")]
 WRONG_FILES += [(LOCAL + "adapt = { maximum = 2, pace = 3 }\n", "unknown key adapt.pace")]
+WRONG_FILES += [slow(f"{LOCAL}options.n_workers = 0\nadapt = {{ maximum = 2, target_duration = 'soon' }}", "soon")]
 WRONG_FILES += [(f"{LOCAL}scale = 1\noptions.{one}", "options: ") for one in ("n_workers = -1", "asynchronous = true")]
 WRONG_FILES += [(LOCAL + "scale = 1\nscales = 1\n", "unknown key scales"), (LOCAL + "scale = true", "valid integer")]
 

@@ -30,7 +30,7 @@ GROWING = [((), [2, 3], "declare Output(NAME, ragged=True)")]
 GROWING += [([Output("a", ragged=True)], [2, 3], "ragged='DIMENSION'")]
 GROWING += [([Output("b", ragged=True)], [2], "'b' has the dimensions (b_dim_0, b_dim_1): declare which of them is")]
 GROWING += [([Output("a", ragged=True)], [4], "'a' is ragged, and 'a_length' is the name of its length; take another")]
-GROWING += [([Output("a", dims="p", ragged=True), Output("b", dims=("q", "p"))], [0, 2], "")]
+GROWING += [([Output("a", dims="p", ragged=True), Output("b", dims=("q", "p"))], [2, 0], "")]
 GROWING += [([Output("a", dims="p", ragged=True), Output("b", dims=("p", "q"), ragged="q")], [2], "several ragged")]
 GROWING += [([Output("b", dims=("q", "p"), ragged="q")], [0], "'a' has no values")]
 
@@ -117,6 +117,7 @@ REFUSED = {
     **{"nothing": (None, "f returns nothing (None)"), "an empty dict": ({}, "f returns no results")},
     "None in it": ({"y": None}, "'y' is of type NoneType"),
     "complex array": ({"y": np.array([1j])}, "'y' is of type complex128"),
+    "more than 64 bits": ({"y": np.longdouble(1)}, "'y' is of type float128"),
     "ragged": ({"y": [[1.0], [1.0, 2.0]]}, "'y' has parts of different lengths"),
     "nested": ({"y": {"z": 1.0}}, "'y' is a dict; results are not nested"),
     "decimal": ({"y": Decimal(1)}, "'y' is of type Decimal; results are numbers (dur"),

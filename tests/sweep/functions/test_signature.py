@@ -48,7 +48,7 @@ def several(
     name: str = "x",
     shift: Annotated[float, Parameter("shift", unit="m")] | None = None,
     factor=0.5,
-    rate: float = 1,
+    n_sim: float = 1,
     anything=None,
     options: dict = {},  # noqa: B006
 ):
@@ -60,13 +60,14 @@ def test_name_type_default_unit_meaning_and_bounds():
     parameters = {parameter.name: parameter for parameter in study.experiment.parameters}
     assert {name: parameter.kind for name, parameter in parameters.items()} == {
         **{"beta": "float", "n": "int", "solver": "str", "order": "int", "damped": "bool", "name": "str"},
-        **{"shift": "float", "factor": "float", "rate": "float", "anything": "any", "options": "object"},
+        **{"shift": "float", "factor": "float", "n_sim": "float", "anything": "any", "options": "object"},
     }
     beta = parameters["beta"]
     assert (beta.required, beta.meaning, beta.unit, beta.above) == (True, "contact rate", "1/d", 0)
-    assert repr(parameters["rate"].default) == "1.0"  # else points at 1 and at 1.0 would be two
+    assert repr(parameters["n_sim"].default) == "1.0"  # else points at 1 and at 1.0 would be two
     solver, shift = parameters["solver"], parameters["shift"]
     assert (solver.choices, parameters["n"].default, shift.unit) == (("RK45", "LSODA"), 1000, "m")
+    assert load_study(f"{__file__}:several", ["n=1000"], ["beta=1,2"]).digest() == study.digest()  # as by default
     study = load_study(f"{__file__}:several", ["order=2", f"n={2**53 + 1}", "shift=0.5", "factor=2"], ["beta=1"])
     assert dict(study.fixed) == {"order": 2, "n": 2**53 + 1, "shift": 0.5, "factor": 2.0}
     for name, wrong in (("order", "3"), ("order", "true"), ("solver", "RK"), ("n", "0.5"), ("n", 2**63), ("beta", "0")):

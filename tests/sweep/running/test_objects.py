@@ -378,12 +378,14 @@ def test_equal_numbers_are_one_point_of_the_type_that_came_first(tmp_path_factor
         assert sorted(shown) == sorted((value, repr(one)) for value, one in first.items())
 
 
-def test_integers_of_a_file_stay_integers_when_a_row_with_a_fraction_is_appended(tmp_path, sweep):
-    (tmp_path / "m.py").write_text("def kind(x):\n    return repr(x)\n")
-    for rows, store in (("x\n0\n2\n", "s.zarr"), ("x\n0\n2\n1.5\n", "s.zarr"), ("x\n0\n2\n1.5\n", "t.zarr")):
-        (tmp_path / "x.csv").write_text(rows)
-        sweep("run", "m.py:kind", "--points", "x.csv", "-o", store, cwd=tmp_path, code=0)
-        assert linksweep.open(tmp_path / store).kind.values.tolist() == rows.split()[1:]
+def test_integers_of_a_file_stay_integers_when_a_row_with_a_fraction_is_appended(here):
+    for rows, store in (("0 2", "s"), ("0 2 1.5", "s"), ("0 2 1.5", "t")):
+        (here / "x.csv").write_text("\n".join(["x", *rows.split()]))
+        ds = linksweep.run(lambda x: repr(x) + "", store, points="x.csv", pool="serial")
+        assert ds.result.values.tolist() == rows.split()
+    for store, asked in (("u", {"fixed": {"x": 2}}), ("u", {"axes": {"x": [2.0]}}), ("v", {"points": {"x": [2, 2.0]}})):
+        ds = linksweep.run(lambda x: repr(x) + "", store, pool="serial", **asked)
+        assert {*ds.result.values.flat} == {"2"}  # the type that came first
 
 
 Level, Word = enum.IntEnum("Level", "LOW HIGH"), enum.StrEnum("Word", {"YES": "y"})

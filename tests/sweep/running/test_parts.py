@@ -224,6 +224,11 @@ def test_a_part_that_is_running_is_left_out_and_named(three, tmp_path, sweep):
         assert merge(named, tmp_path / "s").attrs["lost_parts"] == "2 of 3"
     (tmp_path / "later").rename(three[1])
     assert "lost_parts" not in merge(three, tmp_path / "s").attrs
+    how = {"part": "1/2", "sampling": {"n_sim": 3000}, "pool": "serial", "max_failures": 0}  # each task is one block
+    with pytest.raises(KeyboardInterrupt):
+        linksweep.run(f"{tmp_path}/m.py:noisy", tmp_path / "n", progress=opening.Stopping(2), **how)
+    assert linksweep.open(tmp_path / "n.part-1-of-2").attrs["complete"] == 0
+    assert linksweep.run(f"{tmp_path}/m.py:noisy", tmp_path / "n", **how).attrs["complete"] == 1
 
 
 @pytest.mark.slow

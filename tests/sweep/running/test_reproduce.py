@@ -18,7 +18,7 @@ from linksweep.sweep.studies.reader import live_study, parse_places
 from tests.sweep.opening import OpenStore, same
 from tests.tiers import slow
 
-TABLE, ZIPPED = {"a": [0.0, 1.0, 0.0], "b": [5.0, 6.0, 7.0]}, {"a": [0.0, 1.0], "b": [5.0, 6.0]}
+TABLE, ZIPPED = {"a": [0.0, 1.0, 0.0], "b": [None, 6.0, 7.0]}, {"a": [0.0, 1.0], "b": [5.0, 6.0]}
 BREAKS = """    from pathlib import Path
     if points[0]["coins"] == 5 and Path(__file__).with_name("broken").exists():
         raise ZeroDivisionError(f"no {points[0]['metal']} coins left")

@@ -248,7 +248,7 @@ def test_a_run_whose_first_points_all_fail_alike_stops_and_goes_on_where_it_stop
     assert (code, out, "stopped: the first 20 points all failed for the same reason: " in err) == (1, "", True)
     assert re.search(r"like ImportError: no package for (\d+), for example at x=\1", err)  # whichever came first
     before = status_report("s.zarr")["points"]["failed"]
-    assert FIRST <= before < 100
+    assert FIRST <= before < (FIRST + 1 if "serial" in pool else 100)
     assert sweep_here(*command)[0] == 1
     assert status_report("s.zarr")["points"]["failed"] > before
     assert sweep_here(*command, "--max-failures", "100%")[0] == 1

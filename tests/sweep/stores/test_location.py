@@ -70,6 +70,8 @@ def test_a_file_and_its_folder_are_on_the_disk_or_the_old_one_is(tmp_path, monke
     with pytest.raises(OSError, match="No space left"):
         Folder(tmp_path).put("a/b", b"new")
     assert (Folder(tmp_path).get("a/b"), os.listdir(tmp_path / "a")) == (b"old", ["b"])
+    Folder(tmp_path).delete("a/b", "none")
+    assert not [*tmp_path.iterdir()]  # no folder of an array that is gone
 
 
 def test_an_address_that_is_none_or_needs_a_package_is_refused(monkeypatch):

@@ -82,10 +82,12 @@ def test_an_experiment_of_any_kind_can_have_definitions(here):
     colour = Parameter("colour", "str", "red", "of the die", choices=("red", "green"))
     declared = ("dice", 1, (die, colour), {"sum": ()}, (Output("mean", "", "mean number", headline=True),), dice)
     thrown = Experiment(*declared, summarise=lambda sums, n, n_cat: {"mean": sums["sum"] / n})
-    study = {"experiment": thrown, "axes": {"die": ["cube", "low"]}, "sampling": {"n_sim": 20_000}}
+    study = {"experiment": thrown, "axes": {"die": ["cube", "low"]}, "sampling": {"n_sim": 2_000}}
     dataset = run(study | {"define": {"die": {"low": {"faces": [1, 1, 2]}}}})
     assert dataset["die"].values.tolist() == ["cube", "low"]
-    np.testing.assert_allclose(dataset["mean"], [3.5, 4 / 3], atol=4 * 1.71 / 20_000**0.5)
+    np.testing.assert_allclose(dataset["mean"], [3.5, 4 / 3], atol=4 * 1.71 / 2_000**0.5)
+    run(study | {"axes": {"colour": ["green"]}})  # which defines nothing
+    assert "faces" in linksweep.open("s.zarr").attrs["study_document"]
     with pytest.raises(SweepError) as caught:
         run(study | {"define": {"die": {"low": {"side": 1}}, "colour": {"blue": {}}, "dye": {}}})
     blue = "define.colour.blue: colour takes no values that a study defines, but one of 'red', 'green'"
