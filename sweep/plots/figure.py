@@ -694,8 +694,6 @@ def draw_map(axes: Axes, dataset: xr.Dataset, variable: str, x: str, y: str, lim
         if dataset[name].size <= 3:  # ticks at these alone
             axis.set_ticks(dataset[name].values, formatting.plain(dataset[name].values.tolist()))
             axis.set_minor_locator(ticker.NullLocator())
-        elif dataset[name].dtype.kind == "i" and not style.is_logarithmic(dataset[name]):
-            axis.set_major_locator(ticker.MaxNLocator(integer=True))
     axes.set(xlabel=style.explained_label(dataset[x], x), ylabel=style.explained_label(dataset[y], y))
 
 

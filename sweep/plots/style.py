@@ -385,7 +385,7 @@ def unevenness(places: Array) -> float:
 
 
 def fit_scale(axes: Axes, which: str, array: xr.DataArray) -> None:
-    """Make an axis logarithmic where its numbers need it, and name truth values."""
+    """Make an axis logarithmic where its numbers need it, name truth values, and put no ticks between integers."""
     if formatting.is_truth(array):
         names = formatting.TRUTH["flag_meanings"].split()
         axes.set(**{f"{which}ticks": [0.0, 1.0], f"{which}ticklabels": names})
@@ -393,6 +393,28 @@ def fit_scale(axes: Axes, which: str, array: xr.DataArray) -> None:
         logarithmic(axes, which, array.values)
     elif 0.0 < np.fmax.reduce(abs(array.values.astype(float)), axis=None) < LEAST:
         raise SweepError(f"{array.name} has only numbers below {LEAST:g}, which a linear axis cannot show")
+    else:
+        if array.dtype.kind == "i":
+            integers = ticker.MaxNLocator("auto", integer=True, steps=[1, 2, 5, 10])
+            (axes.xaxis if which == "x" else axes.yaxis).set_major_locator(integers)
+        if array.name in array.coords and SCALE not in array.attrs:
+            _spread(axes, which, array.values.astype(float))
+
+
+def _spread(axes: Axes, which: str, values: Array) -> None:
+    """Make the axis of a grid whose values, not all above zero, would fall together logarithmic on both sides of zero,
+    with ticks at these, if they are twice as even there.  Zero is as far from the smallest as this is from the next.
+    """
+    known = np.unique(values[np.isfinite(values)])
+    sizes = np.unique(abs(known[known != 0.0]))
+    if len(sizes) < 2 or known[0] > 0.0 or sizes[0] < 1e-99 * sizes[-1] or np.diff(known).min() > EVEN * np.ptp(known):
+        return  # matplotlib draws no more decades
+    step = float(np.log10(sizes[1] / sizes[0]))
+    places = np.sign(known) * (step + np.log10(np.fmax(abs(known), sizes[0])) - np.log10(sizes[0]))
+    if 2.0 * unevenness(places) < unevenness(known):
+        getattr(axes, f"set_{which}scale")("symlog", linthresh=sizes[0], linscale=0.9 * step)
+        ticks = known[:: int(np.ceil(in_letters(4.0) * len(known) / panel_size(axes)[which == "y"]))]
+        getattr(axes, f"set_{which}ticks")(ticks, list(map(number_text, ticks)))
 
 
 def logarithmic(axes: Axes, which: str, values: Any) -> None:

@@ -18,7 +18,8 @@ from tests.tiers import examples, slow
 
 LARGE, CLOSE = [50.0, 7.0, 90.0, 41.0, 23.0, 77.0, 64.0, 12.0, 34.0, 58.0], [1.0 + 1e-12 * i for i in range(9)]
 OTHERS = [([1, 2, 5, 10, 20, 50], "log"), ([1.0, 1.19, 1.41, 1.68, 2.0], "log"), (LARGE, "linear"), (CLOSE, "linear")]
-OTHERS += [([1.0, 2.0, 2.5, 4.0, 5.5, 7.0], "linear"), ([0.0, 1.0, 10.0, 100.0], "linear"), ([1.0, 100.0], "linear")]
+OTHERS += [([1.0, 2.0, 2.5, 4.0, 5.5, 7.0], "linear"), ([0.0, 1.0, 10.0], "linear"), ([1.0, 100.0], "linear")]
+OTHERS += [([0, 1, 10, 100], "symlog"), ([-100.0, -10.0, -1.0, 0.1, 1.0], "symlog"), ([0.0, 1e-300, 1.0], "linear")]
 WIDTH = 88.0
 KINDS = ["steel", "aluminium", "carbon fibre composite"]
 TOWNS = ["Amsterdam", "Buenos Aires", "Constantinople", "Heidelberg", "Kuala Lumpur", "Llanfairpwllgwyngyll", "Turin"]
@@ -61,6 +62,7 @@ def test_every_value_is_seen_whatever_is_missing_beside_it(done):
 @pytest.mark.parametrize(("x", "scale"), OTHERS)
 def test_other_axes_have_the_scale_on_which_they_are_more_even(x, scale):
     assert scales(results(x))[0] == scale
+    assert scales(results(x), linear=["x"])[0] == "linear"
 
 
 def test_numbers_of_six_hundred_decades_are_all_in_view():
@@ -161,15 +163,14 @@ def test_nothing_is_drawn_between_the_points_of_a_prediction(dataset_of, name):
 
 
 @pytest.mark.parametrize("over", [slow("load"), "strong"])
-def test_figures_and_their_words_have_true_and_false(tmp_path, sweep, over):
+def test_figures_and_their_words_have_true_and_false(tmp_path, over):
     def weigh(load: float, strong: bool):
         if load == 3.0 and strong:
             raise ValueError("too heavy to know")
         return {"stands": load < (3.5 if strong else 1.5)}
 
-    weighed = tmp_path / "s.zarr"
     axes = {"load": [1.0, 2.0, 3.0, 4.0], "strong": [True, False]}
-    dataset = linksweep.run(weigh, weighed, axes=axes, pool="serial")
+    dataset = linksweep.run(weigh, tmp_path / "s.zarr", axes=axes, pool="serial")
     figure = linksweep.plot(dataset, "lines", variables=["stands"], over=[over])
     figure.draw_without_rendering()
     [axes] = figure.axes
@@ -181,9 +182,7 @@ def test_figures_and_their_words_have_true_and_false(tmp_path, sweep, over):
         assert [label for label in said if "strong" in label] == ["strong = True", "strong = False"]
     else:
         assert [text.get_text() for text in axes.get_xticklabels()] == ["True", "False"]
-    options = ["--kind", "lines", "--variable", "stands", "--over", over, "--caption"]
-    assert sweep("plot", weighed, *options, "-o", tmp_path / "a.svg")[0] == 0
-    assert "stands: It is True at 3 of" in (tmp_path / "a.txt").read_text()
+    assert "stands: It is True at 3 of" in style.caption(figure, dataset, with_answer=True)
 
 
 def test_maps_of_truth_values_have_two_colours(tmp_path):
@@ -288,7 +287,5 @@ def test_names_below_an_axis_do_not_cover_each_other(tmp_path, names, width, tur
     assert axes.get_window_extent().height > 0.6 * axes.figure.bbox.height
 
 
-def test_integers_of_a_map_have_ticks_at_integers():
-    parts = {"y": (("k", "x"), np.arange(16.0).reshape(4, 4)), "status": (("k", "x"), np.ones((4, 4), np.int8))}
-    ds = xr.Dataset(parts, {"k": range(1, 5), "x": range(1, 5)}, {"title": "", "function": "f"})
-    assert not (linksweep.plot(ds, "map").axes[0].get_xticks() % 1.0).any()
+def test_integers_have_ticks_at_integers():
+    assert not (linksweep.plot(results(np.arange(1, 4))).axes[0].get_xticks() % 1.0).any()
