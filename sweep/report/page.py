@@ -564,6 +564,8 @@ class Page:
         return [text.encode(errors="replace")]
 
     def _seen(self) -> str:
+        if self._state and self._lock.locked():
+            return self._state  # another request waits for a figure
         with self._lock:
             if time.monotonic() >= self._next:
                 begun = time.process_time()

@@ -122,8 +122,10 @@
         if (JSON.stringify(this.choice) !== before) this.draw();
       });
       document.addEventListener("theme", () => this.draw());
-      window.addEventListener("beforeprint", () => this.showTools(false));
-      window.addEventListener("afterprint", () => this.showTools(true));
+      // BokehJS follows the width of the page later than it is printed: paper shows a picture of the plot.
+      const plot = element.querySelector(".plot");
+      window.addEventListener("beforeprint", () => this.view && plot.append(this.view.export().canvas));
+      window.addEventListener("afterprint", () => plot.querySelector(":scope > canvas")?.remove());
     }
 
     // The choice is kept in the address, so that a view can be linked to, and gone back to.
@@ -237,7 +239,7 @@
       const known = [...axis.texts.keys()].map((i) => numberAt(axis, i));
       return ["from", "to"].map((word, end) => {
         const input = document.createElement("input");
-        Object.assign(input, { type: "number", step: "any", placeholder: end ? largest(known) : least(known), value: range[end] ?? "" });
+        Object.assign(input, { type: "number", step: "any", ariaLabel: `${labelled(axis)} ${word}`, placeholder: end ? largest(known) : least(known), value: range[end] ?? "" });
         return this.control(input, `${word}-${axis.name}`, end ? "to" : `${labelled(axis)} from`, (value) => {
           this.choice.ranges[axis.name] = range.with(end, value === "" ? null : Number(value));
           if (this.choice.ranges[axis.name].every((one) => one === null)) delete this.choice.ranges[axis.name];
@@ -373,6 +375,7 @@
         forget(view);
         return;
       }
+      Object.assign(target, { role: "img", ariaLabel: [this.labelOf(quantity), ...[x, series].filter(Boolean).map(labelled)].join(" over ") });
       this.element.querySelector(".plot").replaceChildren(target);
       if (this.view) forget(this.view);
       this.view = view;
@@ -463,10 +466,6 @@
     inWords() {
       const texts = Object.entries(this.choice.ranges).map(([name, [low, high]]) => `${name} ${low === null ? "" : `from ${low} `}${high === null ? "" : `to ${high}`}`.trim());
       return texts.length ? `Only ${texts.join(", ")}` : "";
-    }
-
-    showTools(visible) {
-      if (this.view) this.view.model.toolbar.visible = visible;
     }
 
     isDark() {

@@ -136,6 +136,10 @@ def test_it_opens_from_a_file_without_network_and_complaint(show, store_of, widt
     check_quiet(driver, width)
     background = driver.execute_script("return getComputedStyle(document.body).backgroundColor")
     assert (sum(map(int, re.findall(r"\d+", background)[:3])) > 400) == (theme == "light")
+    driver.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    driver.execute_script("dispatchEvent(new Event('beforeprint')); document.body.style.width = '300px'")
+    printed = driver.find_elements("css selector", ".plot > canvas")
+    assert theme == "dark" or [0 < one.size["width"] <= 300 for one in printed] == [True, True]
 
 
 def test_controls_change_the_plot(show, store_of):

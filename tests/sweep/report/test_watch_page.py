@@ -85,6 +85,8 @@ def test_every_text_of_a_store_is_escaped(evil_store, tmp_path):
     for _ in range(2):  # figures come after the tiles
         parts = json.loads(ask(page, f"/{page.token}/state")[2])
         time.sleep(0.3)
+    with page._lock:  # of a request for which a figure is drawn
+        assert json.loads(ask(page, f"/{page.token}/state")[2]) == parts
     said = [("head-0", "&lt;script&gt;window.owned = true&lt;/script&gt;"), ("head-1", "waiting")]
     said += [("failures-0", "is what failed"), ("failures-0", "Traceback")]
     said += [("figure-0", "<svg")]  # the name of an axis value is no formula
