@@ -14,6 +14,7 @@ holds.
 
 import ast
 import builtins
+import ctypes
 import hashlib
 import importlib.abc
 import importlib.util
@@ -388,6 +389,8 @@ class Reach:
         reduced = reduce(value) if reduce is not None else value.__reduce_ex__(4)
         if is_other and kind is not partial and all(hasattr(kind, name) for name in ("func", "args", "keywords")):
             reduced = kind, (value.func, value.args, value.keywords)  # toolz pickles names of these, and docstrings
+        if isinstance(value, ctypes.CDLL):  # of which all else are addresses
+            reduced = kind, (digest_of(Path(value._name).read_bytes()),)
         if isinstance(reduced, str):  # to be found in its module
             self._is_users(getattr(value, "__module__", None) or kind.__module__)
             if is_other:

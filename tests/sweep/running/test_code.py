@@ -1,11 +1,13 @@
 """A store made by other code is refused, continued on request, or replaced; the same code in any words is not."""
 
+import _ctypes
 import contextlib
 import functools
 import importlib
 import json
 import re
 import runpy
+import shutil
 import sys
 
 import pytest
@@ -58,13 +60,15 @@ def f(x: float): return g(x) * K * c.k * C.k + len(ALL) + ALL["a"]([0.0]) * 0 + 
 NAMED = {"h.K = 4.0": "value h.K", "h.c.k = 4.0": "value h.c", "h.C.k = 4.0": "value h.C.k ("}
 NAMED |= {"h.g.__kwdefaults__['s'] = 2.0": "h.g", "h.ALL['a'] = sum": "value h.ALL"}
 NAMED |= {"h.C.__bases__ = h.B, h.B2": "class h.C", "h.P = h.make_dataclass('P', 'ba')": "P.__match_args__"}
-DECLARED = """import threading, linksweep
+DECLARED = """import ctypes, threading, linksweep
 from pathlib import Path
 L = threading.Lock()
+C = ctypes.CDLL(str(Path(__file__).parent / "c.so"))
 T = [eval("lambda x: x", {"__name__": None})]
 @linksweep.experiment(reads=["READS"])
 def f(x: float):
     with L:
+        C.PyInit__ctypes
         return T[0](x) * float((Path(__file__).parent / "k.csv").read_text())
 """
 CHANGES_ITS_FILE = """from pathlib import Path
@@ -357,6 +361,7 @@ def test_the_order_counts_in_which_modules_act_on_others(tmp_path, sweep, last):
 
 def test_what_has_no_canonical_form_is_named_once_and_declared_files_count(tmp_path, sweep):
     (tmp_path / "k.csv").write_text("3")
+    shutil.copy(_ctypes.__file__, tmp_path / "c.so")
     for reads in ("nope.csv", ".", "*.csv"):
         (tmp_path / "m.py").write_text(DECLARED.replace("READS", reads))
         code, _, err = sweep("run", "m.py:f", "--axis", "x=1", "-o", "s.zarr", cwd=tmp_path)
@@ -367,9 +372,12 @@ def test_what_has_no_canonical_form_is_named_once_and_declared_files_count(tmp_p
         code, _, err = sweep("run", "m.py:f", "--axis", axis, "-o", "s.zarr", cwd=tmp_path)
         for name in ("m.L, a _thread.lock", "m.T, a function without source"):
             assert (code, f"changes of {name}, are not noticed" in err) == (0, axis == "x=1"), err
-    (tmp_path / "k.csv").write_text("4")
-    code, _, err = sweep("run", "m.py:f", "--axis", "x=1,2,3", "-o", "s.zarr", cwd=tmp_path)
-    assert (code, "file k.csv has changed" in err) == (2, True)
+        assert "m.C" not in err
+    for name, said in (("k.csv", "file k.csv"), ("c.so", "value m.C")):
+        (tmp_path / "new").write_bytes((tmp_path / name).read_bytes() + b" ")
+        (tmp_path / "new").replace(tmp_path / name)
+        code, _, err = sweep("run", "m.py:f", "--axis", "x=1,2,3", "-o", "s.zarr", cwd=tmp_path)
+        assert (code, said in err) == (2, True), err
 
 
 def test_the_version_of_a_declared_package_counts(tmp_path, monkeypatch):
