@@ -651,11 +651,15 @@ def _parsed(text: str) -> ast.Module:
 
 
 def without_docstrings(tree: ast.Module) -> ast.Module:
-    """Return a tree, changed in place."""
+    """Return a tree, changed in place, without docstrings and texts in place of comments."""
     for node in ast.walk(tree):
-        if isinstance(node, (*DEFINITIONS, ast.Module)) and ast.get_docstring(node, clean=False) is not None:
-            node.body[:1] = [ast.Pass()] if len(node.body) == 1 else []
+        if isinstance(body := getattr(node, "body", None), list):
+            body[:] = [one for one in body if not _is_text(one)] or [ast.Pass()]
     return tree
+
+
+def _is_text(statement: ast.stmt) -> bool:
+    return isinstance(statement, ast.Expr) and isinstance(getattr(statement.value, "value", None), str)
 
 
 def definitions_of(function: FunctionType) -> Sequence[Function]:

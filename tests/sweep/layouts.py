@@ -129,7 +129,7 @@ class Layout:
             if cosmetic:
                 other.shuffle(body)
                 body = [re.sub("(?s)(# 1.*)(# 2.*)(# 3)", r"\2\1\3", block) for block in body]
-                body = [re.sub(r"(?m)^( *)def .*:$", r'\g<0>\n\1    """Return a number."""', block) for block in body]
+                body = [re.sub(r"(?m)^( *)def .*:$", r'\g<0>\n\1    """Sum."""\n\1    "Old"', block) for block in body]
                 body = [f"# {other.random()}\n{block}" for block in body]
             where = (folder / "project" / file).resolve()
             where.parent.mkdir(parents=True, exist_ok=True)
