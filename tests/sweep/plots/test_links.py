@@ -79,7 +79,7 @@ def test_many_arrows_are_weighted_means_of_cells_of_equal_area():
 
 @cache
 def tie():
-    options = {"clip": "discrepancy:1", "errors": "jackknife,scaled", "bins": ("parallax", [3.0])}
+    options = {"clip": "discrepancy:2", "errors": "jackknife,scaled", "bins": ("parallax", [3.0])}
     return linksweep.tie("dr4-gaia", "dr4-vlbi", "orientation,spin", **options)
 
 
@@ -97,10 +97,10 @@ def of_ranking(plan):
 
 def of_sources(kind):
     def panels(link):
-        kept, ratio = link.weight_factor.values > 0.0, link.discrepancy / link.n_observations  # seven of eight
+        kept, ratio = link.weight_factor.values > 0.0, link.discrepancy / link.n_observations  # six of eight
         if kind == "weight":
             return [[one[kept], ratio[kept]] for one in link.share.values.T]
-        order = np.argsort(link.share.values.max(axis=1))[1:]  # the largest is on top
+        order = np.argsort(link.share.values.max(axis=1))[2:]  # the largest is on top
         if kind == "ranking":
             return [link.share.values[order].T.reshape(1, -1), [link.cook_distance[order]]]
         if kind == "separations":  # after the fit the X of two observations that is as rare as Q of n
@@ -108,7 +108,7 @@ def of_sources(kind):
             steps = [np.append(0.1, np.sort(one)) for one in (link.normalised_separation, after)]
             return [[*steps, np.append(1.0, np.arange(8, 0, -1) / 8)]]
         without = link.estimate_without.values[kept]
-        stretched = without.mean(axis=0) + np.sqrt(6.0) * (without - without.mean(axis=0))
+        stretched = without.mean(axis=0) + np.sqrt(5.0) * (without - without.mean(axis=0))
         half = np.sqrt(stats.chi2.ppf(0.683, 2) * np.einsum("ekk->ek", link.covariances))
         pairs = (list(pair) for block in ([0, 1, 2], [3, 4, 5]) for pair in combinations(block, 2))
         return [[*stretched[:, pair].T, *half[:, pair]] for pair in pairs]
@@ -122,7 +122,10 @@ FIGURES = {  # of a dataset, and what their panels show of it
     "bins": (tie, lambda d: [[*d.spin_by_bin.T, *d.spin_by_bin_error.T]]),
     "trajectory": (
         tie,
-        lambda d: [*([*d.step_estimate[:, b].T, *d.step_error[:, b].T] for b in BLOCKS), [d.step_chi2 / d.step_dof]],
+        lambda d: [
+            *([*d.step_estimate[:, b].T, *d.step_error[:, b].T] for b in BLOCKS),
+            [d.step_chi2 / d.step_dof, np.full(2, d.step_chosen)],
+        ],
     ),
     **{kind: (tie, of_sources(kind)) for kind in ("weight", "ranking", "separations", "jackknife")},
     "spectrum": (

@@ -106,18 +106,15 @@ def test_the_view_holds_the_numbers_of_the_dataset_in_their_order(results):
 
 
 def test_the_view_has_axes_and_integers_exactly_and_knows_what_nobody_asked_for(tmp_path):
-    def lit(jd: float, k: int = 1):
-        return {"n": 2**60 + k, "small": 123456780 + k}
-
     jd = [2460000.0 + 0.1 * i for i in range(11)]
-    study = {"experiment": lit, "axes": {"jd": jd, "k": [1, 2]}}
-    actual, *_ = explorer(linksweep.run(study, tmp_path / "s.zarr", pool="serial"), [], 10**6)
+    lit = {"experiment": lambda jd, k: {"n": 2**60 + k, "small": 123456780 + k}, "axes": {"jd": jd, "k": [1, 2]}}
+    actual, *_ = explorer(linksweep.run(lit, tmp_path / "s.zarr", pool="serial"), [], 10**6)
     axes, views = ({one["name"]: one for one in actual[part]} for part in ("axes", "quantities"))
     assert axes["jd"]["values"] == jd
     assert axes["jd"]["texts"] == ["2460000", *(f"2460000.{i}" for i in range(1, 10)), "2460001"]
     assert views["n"]["value"] == [str(2**60 + 1), str(2**60 + 2)] * 11
     assert views["small"]["value"] == [123456781, 123456782] * 11
-    part = linksweep.run(study | {"exclude": [{"jd": jd[1], "k": 2}]}, tmp_path / "t.zarr", pool="serial")
+    part = linksweep.run(lit | {"exclude": [{"jd": jd[1], "k": 2}]}, tmp_path / "t.zarr", pool="serial")
     part["status"][5] = Status.FAILED
     assert explorer(part, [], 10**6)[0]["excluded"] == {"dims": ["jd", "k"], "at": [3], "refined": False}
 

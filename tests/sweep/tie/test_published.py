@@ -12,7 +12,7 @@ from scipy.stats import chi2, f
 import linksweep
 from tests.conftest import run_sweep
 from tests.core.tie.made import Objects, main, parse_unknowns
-from tests.sweep.analysis.made import report_of
+from tests.sweep.analysis.made import report_of, report_page
 from tests.sweep.tie.test_against_least_squares import drawn_tables
 
 PULSARS = "psrpi-de200", "timing-de200", "orientation"
@@ -224,6 +224,7 @@ def test_the_head_of_a_forecast_is_what_observing_brings(tmp_path, sweep):
     assert sweep("report", tmp_path / "f.zarr", "-o", tmp_path / "f.html")[0] == 0
     head = re.search(r'class="headline">(.*?)</div>', (tmp_path / "f.html").read_text())[1]
     plan = linksweep.open(tmp_path / "f.zarr")
+    assert "No figure" not in report_page([("of nothing new", linksweep.forecast("psrpi", "psrpi", "spin"))])
     stages = [*plan["error"].values, plan["step_error"].values[-1]]
     expected = [1e3 * np.sqrt(np.mean(errors[plan["block"].values == "spin"] ** 2)) for errors in stages]
     assert list(map(float, re.findall(r"([\d.]+) µas/yr", head))) == pytest.approx(expected, rel=5e-3)
