@@ -225,7 +225,7 @@ WORDS: Mapping[Kind, str] = {
     "str": "a string",
     "bool": "true or false",
     "any": "a finite number, a string, true or false, or in Python any object",
-    "object": "an object of another type than numbers, texts and truth values, such as a date, 2024-06-01",
+    "object": "an object that is no number, text or truth value, such as 2024-06-01 or 2024-06-01T12:30:00",
     "vector": "a list of three finite numbers",
     "map": 'a table of strings, { quantity = "column" }',
     "file": "the path of a table",

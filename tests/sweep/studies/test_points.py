@@ -27,7 +27,7 @@ CELLS = [("beta\n2.5\noops\n1.5\n", "row 2: beta = 'oops': must be a number > 0 
 CELLS += [('beta,k\n2.5,1\n"1,200",1\n', "row 2: beta = '1,200': must be a number > 0 [1/d]")]
 CELLS += [("k\n1\n1_0\n", "row 2: k = '1_0': must be an integer")]
 CELLS += [("k,beta\n" + "y,x\n" + "y,1\n" * 30, "row 1: beta = 'x': must be a number > 0 [1/d]")]
-OBJECT = "an object of another type than numbers, texts and truth values, such as a date, 2024-06-01"
+OBJECT = "an object that is no number, text or truth value, such as 2024-06-01 or 2024-06-01T12:30:00"
 CELLS += [("distance [km]\n1\noops\n", f"row 2: distance = 'oops': must be {OBJECT}")]
 CELLS += [("k\n1\n99999999999999999999\n", "row 2: k = 99999999999999999999: must be an integer, below 2**63 in size")]
 DERIVED = """
