@@ -114,17 +114,19 @@ def with_error(value: Any, error: float, step: float = 0.0, digits: int = 4) -> 
 
     Args:
         value: Any number; NaN gives an empty string.  Texts, truth values and integers are not rounded.
-        error: One standard error; it is left out where it is not positive and finite.
+        error: One standard error; it is left out where it is not finite, or no larger than rounding.
         step: What says the digits of a number without an error, such as that of an axis.
         digits: How many digits it has without a step.
 
     Examples:
         >>> with_error(0.66, 0.0027)
         '0.6600 ± 0.0027'
-        >>> with_error(0.66, 0.0)
+        >>> with_error(0.66, 1e-16)
         '0.66'
     """
-    return f"{rounded(value, error)} ± {rounded(error, error)}" if 0.0 < error < inf else rounded(value, step, digits)
+    if 0.0 < error < inf and error > 1e-14 * abs(value):
+        return f"{rounded(value, error)} ± {rounded(error, error)}"
+    return rounded(value, step, digits)
 
 
 def digits_of(values: Iterable[Any]) -> int:

@@ -100,9 +100,7 @@ class Line:
         return ~(abs(self.y - level) < SURE * self.sigmas())
 
     def undecided(self, level: float, met: NDArray[np.bool_]) -> Iterator[tuple[NDArray[np.intp], int]]:
-        """Yield each row of neighbouring points that are not decided, and how often ``met`` changes along and beside
-        it.
-        """
+        """Yield each row of points that are not decided, and how often ``met`` changes along and beside it."""
         ends = np.flatnonzero(~self.decided(level))
         for some in np.split(ends, np.flatnonzero(np.diff(ends) > 1) + 1) if ends.size else ():
             beside = met[max(some[0] - 1, 0) : some[-1] + 2]
@@ -601,9 +599,8 @@ def _crossing(line: Line, i: int, threshold: float, over_unit: str) -> tuple[flo
 
     The line is within two of its errors of the threshold up to two errors of the place, in the unit of the axis, on the
     side where that is farther (Fieller 1954): noise, which chooses the points on both sides, makes the line between
-    them too steep.  Where it also makes the line cross back, as between close points, the last crossing before a point
-    that is surely beyond counts.  The error is NaN where the line does not leave the threshold, on the side that it
-    crosses to.
+    them too steep.  Where it also makes the line cross back, the last crossing before a point that is surely beyond
+    counts.  The error is NaN where the line does not leave the threshold, on the side that it crosses to.
     """
     (u, *_), z = _pair(line, i, threshold), on_scale(line.x, over_unit)
     place = z[i] + u[0] / (u[0] - u[1]) * (z[i + 1] - z[i])

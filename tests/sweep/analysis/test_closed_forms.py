@@ -114,9 +114,8 @@ def test_a_power_law_through_points_without_errors_is_a_linear_regression(seed):
     assert result["amplitude_error"].item() / result["amplitude"].item() == pytest.approx(np.sqrt(scatter / len(x)))
     assert np.isnan(result["chi2"].item())
     assert linksweep.fit_power_law(results(x[:2], y[:2]), "width", "n")["exponent_error"].item() == 0.0  # no scatter
-    x = np.array([1.0, 4.0, 9.0])
-    law = linksweep.fit_power_law(results(x, 4000.0 * x**-0.5), "width", "n", -0.5)  # its scatter is that of rounding
-    assert law["conclusion"].item() == "as expected"
+    exact = results(x := np.array([1.0, 4.0, 9.0]), 4000.0 * x**-0.5)  # its scatter is that of rounding
+    assert linksweep.fit_power_law(exact, "width", "n", -0.5)["conclusion"].item() == "as expected"
 
 
 def level(x, plateau, size, rate):

@@ -236,10 +236,9 @@ def test_crossings_of_points_with_errors_of_any_size(noise, truth):
     x = np.linspace(0.0, 4.0, 801)  # so close that noise makes a line cross many times
     y = x - truth + noise * np.random.default_rng(5).standard_normal((100, 801))
     actual = find(grid(y, noise, x=x), "width > 0", "n")
-    for name in ("first", "last"):
-        assert np.mean(abs(actual[name].values - truth) < 2.0 * actual[f"{name}_error"].values) > 0.93
-    is_said = np.array(["not decided" in words for words in actual["conclusion"].values])
-    assert is_said[actual["crossings"].values > 1].all()
+    inside = [abs(actual[name] - truth) < 2.0 * actual[f"{name}_error"] for name in ("first", "last")]
+    assert np.mean(inside, axis=1).min() > 0.93
+    assert all("not decided" in words for words in actual["conclusion"].values[actual["crossings"] > 1])
 
 
 @pytest.mark.parametrize("mirrored", [slow(False), True])
