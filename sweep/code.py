@@ -74,7 +74,7 @@ MAKING_CLASSES = ("__init_subclass__", "__set_name__")
 ITSELF = r"(cls|type\(self\)|__class__)(\.|$)"
 
 # What pickle may take apart, but is not the same from call to call.
-UNSTEADY = (io.IOBase, np.random.Generator, np.random.RandomState, random.Random, FileFinder)
+UNSTEADY = (np.random.Generator, np.random.RandomState, random.Random, FileFinder)
 
 # Packages of notebooks and clusters, whose objects lead to all that was ever entered or computed there.
 SESSIONS = ("IPython.", "ipykernel.", "distributed.")
@@ -383,7 +383,8 @@ class Reach:
         if isinstance(value, DESCRIPTORS) or (wraps and kind not in (MethodType, partial)):
             return [getattr(value, name, None) for name in WRAPPED]
         is_made = kind is np.ufunc and "vectorized" in value.__name__  # by frompyfunc, which does not tell of what
-        if isinstance(value, UNSTEADY) or value is os.environ or is_made or kind.__module__.startswith(SESSIONS):
+        is_unsteady = isinstance(value, UNSTEADY) or (is_other and isinstance(value, Iterator))
+        if is_unsteady or value is os.environ or is_made or kind.__module__.startswith(SESSIONS):
             raise TypeError("not the same from call to call")
         reduce = cloudpickle.Pickler.dispatch_table.get(kind) if kind is not TypeVar else None  # by its whole module
         reduced = reduce(value) if reduce is not None else value.__reduce_ex__(4)
@@ -471,9 +472,10 @@ class Reach:
             # such as the cache of a single dispatch, change when it is called; so do numbers in those of Python.
             self._value, kept = "", list[str]()
             plain = PLAIN if distributions_of(names.get("__name__")) else ()
-            for one in (*_closure(function).values(), *vars(function).values()):
+            for name, one in chain(_closure(function).items(), vars(function).items()):
                 form, thing = self._form(one, {}), one.__self__ if type(one) is MethodType else one
-                kept += [form] if type(one) in plain or distributions_of(type(thing).__module__) is None else []
+                is_plain = type(one) in plain and name[:1] != "_"  # else perhaps a cache, as in networkx
+                kept += [form] if is_plain or distributions_of(type(thing).__module__) is None else []
             self._keep(f"function {label}", ", ".join(kept))
             return
         # what attrs makes has numbers in its source that differ from process to process; fields are in the class

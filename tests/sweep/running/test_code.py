@@ -90,12 +90,14 @@ def run(n):
     return gathered[n].f.values.sum()
 if __name__ == "__main__": first = [run(n) for n in (2, 3)][-1]
 """
-CELLS = """import pandas as pd
+CELLS = """import itertools, pandas as pd
 class Shell: __module__ = "ipykernel.zmqshell"
 S, shell = pd.Series(range(5), pd.date_range("2020", periods=5)), Shell()
 D = S.to_xarray()
 def get_ipython(): return shell
-def f(x): return x + len(D["index"].attrs) + S["2020-01-02":].size + len(eval("shell.user_ns_hidden"))
+N = itertools.count()
+def g(x): pd.isna._code = str(next(N)); return x + pd.isna(x)
+def f(x): return g(x) + len(D["index"].attrs) + S["2020-01-02":].size + len(eval("shell.user_ns_hidden"))
 """
 SETS = "import decimal\ndecimal.getcontext().prec = "
 ACTS = {"set_a.py": f"{SETS}4\n", "set_b.py": f"{SETS}8\n", "by_b.py": "import set_b\n"}  # on others, by file
