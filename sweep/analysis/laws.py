@@ -468,8 +468,9 @@ def parse_limit(text: str) -> Limit:
     return Limit(match["variable"], match["sign"], number, unit)
 
 
-def points_where(dataset: xr.Dataset, limit: Limit) -> xr.Dataset:
-    """Return the points of a table or a design at which a condition is met, with all their results.
+def points_where(dataset: xr.Dataset, limit: Limit) -> tuple[xr.Dataset, str]:
+    """Return the points of a table or a design at which a condition is met, with all their results, and in words how
+    many points are not decided.
 
     Raises SweepError for an unknown quantity, one with further dimensions, and points that are not done.
     """
@@ -481,7 +482,8 @@ def points_where(dataset: xr.Dataset, limit: Limit) -> xr.Dataset:
     threshold = limit.number_in(unit := units_of(array.attrs))
     if math.isnan(threshold):
         raise limit.refused_in(unit)
-    return dataset.isel({POINT: np.flatnonzero(limit.is_met(array.values, threshold))})
+    unsure = (abs(array.values - threshold) < SURE * quantity.sigmas(dataset, limit.variable, [POINT])).sum()
+    return dataset.isel({POINT: np.flatnonzero(limit.is_met(array.values, threshold))}), _doubt(unsure, array.size)
 
 
 # Between points
@@ -868,8 +870,11 @@ def _crossing_in_words(row: Mapping[str, Any], unit: str, line: Line, limit: Lim
     rows = line.undecided(threshold, limit.is_met(line.y, threshold))
     # A single crossing between points that are decided is sure.
     unsure = sum(len(some) for some, changes in rows if changes != 1 or some[0] == 0 or some[-1] == n - 1)
-    doubt = f"; not decided: {unsure} of {n} points are within {SURE:g} errors of the limit" if unsure else ""
-    return f"{MET_WORDS[met]}{what}{doubt}"
+    return f"{MET_WORDS[met]}{what}{_doubt(unsure, n)}"
+
+
+def _doubt(unsure: int, n: int) -> str:
+    return f"; not decided: {unsure} of {n} points are within {SURE:g} errors of the limit" if unsure else ""
 
 
 def _part_in_words(x: Array, axis: Array) -> str:

@@ -339,8 +339,12 @@ def find(
     limit = laws.parse_limit(where)
     with part_of(store, at) as dataset:
         if over is None and len(quantity.varied_parameters(dataset)) > 1:
-            met = laws.points_where(dataset, limit)
-            cli.print_headlines(met, as_json) if as_json or met["status"].size else cli.put(f"no point meets {limit}")
+            met, doubt = laws.points_where(dataset, limit)
+            if as_json or met["status"].size:
+                cli.print_headlines(met, as_json)
+            words = doubt.removeprefix("; ") if met["status"].size else f"no point meets {limit}{doubt}"
+            if words and not as_json:
+                cli.put(words)
             return
         result = laws.find(dataset, limit, quantity.require_axis(dataset, limit.variable, over))
     cli.print_result(result, "json" if as_json else "text")

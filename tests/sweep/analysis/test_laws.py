@@ -217,6 +217,10 @@ def test_what_has_no_place_and_no_errors_is_printed_without(tmp_path, sweep_here
     answers = {"z>50": "no point meets z > 50\n", "z>1": "rbf", "z>9 --over width": "none, as points"}
     for asked, words in answers.items():
         assert words in "".join(sweep_here("find", tmp_path / "t.zarr", "--where", *asked.split())[1:])
+    noise = {"points": {"x": [0.0, 9.0], "y": [1.0, 2.0]}, "sampling": {"n_sim": 50}, "pool": "serial"}
+    linksweep.run(lambda rng, x, y: x + rng.normal(), tmp_path / "r.zarr", **noise)
+    out = sweep_here("find", tmp_path / "r.zarr", "--where", "result_mean > 9.1")[1]
+    assert "no point meets result_mean > 9.1; not decided: 1 of 2 points are" in out
     err = start_sweep("find", tmp_path / "s.zarr", "--where", "z > 5 erg/s/cm2", "--over", "width").communicate()[1]
     assert ("not convertible" in err, "Warning" in err) == (True, False)
 
