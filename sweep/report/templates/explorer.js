@@ -375,7 +375,7 @@
         forget(view);
         return;
       }
-      Object.assign(target, { role: "figure", ariaLabel: [this.labelOf(quantity), [x, series].filter(Boolean).map(labelled).join(" and ")].join(" over ") });
+      Object.assign(target, { role: "figure", ariaLabel: [this.labelOf(quantity), [x, series].filter(Boolean).map(labelled).join(" and ")].filter(Boolean).join(" over ") });
       this.element.querySelector(".plot").replaceChildren(target);
       if (this.view) forget(this.view);
       this.view = view;
