@@ -76,8 +76,8 @@ ITSELF = r"(cls|type\(self\)|__class__)(\.|$)"
 # What pickle may take apart, but is not the same from call to call.
 UNSTEADY = (np.random.Generator, np.random.RandomState, random.Random, FileFinder)
 
-# Packages of notebooks and clusters, whose objects lead to all that was ever entered or computed there.
-SESSIONS = ("IPython.", "ipykernel.", "distributed.")
+# Packages whose objects lead to all that was ever entered in a notebook or computed on a cluster, or into files.
+ELSEWHERE = ("IPython.", "ipykernel.", "distributed.", "xarray.backends.", "zarr.")
 
 # With which code may name anything of its module.
 BY_NAME = (globals, eval, exec, sys.modules)
@@ -384,7 +384,7 @@ class Reach:
             return [getattr(value, name, None) for name in WRAPPED]
         is_made = kind is np.ufunc and "vectorized" in value.__name__  # by frompyfunc, which does not tell of what
         is_unsteady = isinstance(value, UNSTEADY) or (is_other and isinstance(value, Iterator))
-        if is_unsteady or value is os.environ or is_made or kind.__module__.startswith(SESSIONS):
+        if is_unsteady or value is os.environ or is_made or kind.__module__.startswith(ELSEWHERE):
             raise TypeError("not the same from call to call")
         reduce = cloudpickle.Pickler.dispatch_table.get(kind) if kind is not TypeVar else None  # by its whole module
         reduced = reduce(value) if reduce is not None else value.__reduce_ex__(4)

@@ -11,6 +11,7 @@ import shutil
 import sys
 
 import pytest
+import xarray as xr
 from hypothesis import given, settings, strategies as st
 
 import linksweep
@@ -60,15 +61,16 @@ def f(x: float): return g(x) * K * c.k * C.k + len(ALL) + ALL["a"]([0.0]) * 0 + 
 NAMED = {"h.K = 4.0": "value h.K", "h.c.k = 4.0": "value h.c", "h.C.k = 4.0": "value h.C.k ("}
 NAMED |= {"h.g.__kwdefaults__['s'] = 2.0": "h.g", "h.ALL['a'] = sum": "value h.ALL"}
 NAMED |= {"h.C.__bases__ = h.B, h.B2": "class h.C", "h.P = h.make_dataclass('P', 'ba')": "P.__match_args__"}
-DECLARED = """import ctypes, threading, linksweep
+DECLARED = """import ctypes, threading, linksweep, zarr
 from pathlib import Path
 L = threading.Lock()
 C = ctypes.CDLL(str(Path(__file__).parent / "c.so"))
+Z = zarr.zeros(1)
 T = [eval("lambda x: x", {"__name__": None})]
 @linksweep.experiment(reads=["READS"])
 def f(x: float):
     with L:
-        C.PyInit__ctypes
+        C.PyInit__ctypes, Z
         return T[0](x) * float((Path(__file__).parent / "k.csv").read_text())
 """
 CHANGES_ITS_FILE = """from pathlib import Path
@@ -372,7 +374,7 @@ def test_what_has_no_canonical_form_is_named_once_and_declared_files_count(tmp_p
     (tmp_path / "m.py").write_text(DECLARED.replace("READS", "k.csv"))
     for axis in ("x=1", "x=1,2"):
         code, _, err = sweep("run", "m.py:f", "--axis", axis, "-o", "s.zarr", cwd=tmp_path)
-        for name in ("m.L, a _thread.lock", "m.T, a function without source"):
+        for name in ("m.L, a _thread.lock", "m.T, a function without source", "m.Z, a zarr.core.array.Array"):
             assert (code, f"changes of {name}, are not noticed" in err) == (0, axis == "x=1"), err
         assert "m.C" not in err
     for name, said in (("k.csv", "file k.csv"), ("c.so", "value m.C")):
@@ -405,7 +407,9 @@ def test_a_declared_file_that_changes_during_a_run_mixes_nothing(tmp_path, sweep
 
 @pytest.mark.slow
 def test_a_value_that_each_process_has_otherwise_is_named_and_refuses_nothing(tmp_path, start_sweep):
-    text = "import time\nSTART, K = time.time_ns(), 2.0\ndef f(x: float):\n    return K * x if START else 0.0\n"
+    xr.Dataset({"k": 1.0}).to_netcdf(tmp_path / "d.nc", engine="h5netcdf")
+    text = "import time, xarray\nSTART, K, D = time.time_ns(), 2.0, xarray.open_dataset('d.nc')\n"
+    text += "def f(x: float):\n    return K * x * float(D.k) if START else 0.0\n"
     runs = [("x=1", "2.0", "2.0", 0), ("x=1,2", "2.0", "2.0", 0), ("x=1,2", "time_ns()", "time_ns() + 1", 2)]
     for axis, old, new, expected in [*runs, ("x=1,2", "2.0", "3.0", 2)]:
         (tmp_path / "m.py").write_text(text.replace(old, new))
@@ -413,4 +417,5 @@ def test_a_value_that_each_process_has_otherwise_is_named_and_refuses_nothing(tm
         err = process.communicate(timeout=60)[1]
         assert process.returncode == expected, err
         assert ("m.START differs from process to process" in err) == (axis == "x=1,2"), err
+        assert "m.D differs" not in err
     assert "value m.K (" in err
