@@ -226,7 +226,9 @@ def test_differences_from_a_prediction_are_in_errors_and_have_no_unit(factor):
     assert "units" not in actual.attrs
     np.testing.assert_allclose(actual.values, (values - 5.0 * factor) / error, rtol=1e-12)
     assert residuals(grid(values, **errors), "width") is None
-    assert "exponent" in report_page([("law", linksweep.fit_power_law(dataset, "width", "size"))])
+    law, indices = linksweep.fit_power_law(dataset, "width", "size"), linksweep.sensitivity(dataset, "width")
+    page = report_page([("law", law), ("indices", indices)])
+    assert ("exponent" in page, bool(re.search(r'data-label="answer">\w', page))) == (True, True)
 
 
 @pytest.mark.slow
