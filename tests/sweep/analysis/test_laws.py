@@ -96,7 +96,7 @@ def test_truth_values_and_integers_have_crossings_and_values_between():
         actual = find(dataset, condition, over="n")
         assert actual["first"].values == pytest.approx(crossing)
         assert np.isnan(actual["first_error"].values).all()  # there is none, and none is made of the type
-    assert interpolate(dataset, "count", "n", 100.0)["count"].values == pytest.approx(100.0)
+    assert interpolate(dataset, "count", "n", 300.0)["count"].values == pytest.approx(300.0)  # the last point
     assert ratio(dataset, "flag", "n", of=100.0, to=300.0)["ratio"].values == pytest.approx(1.0)
     exact = dataset.assign(count=2**58 * (dataset["count"] // 10))  # beyond 2**53, and floats
     assert fit_power_law(exact, "count", "n")["exponent"].values == pytest.approx(1.0)

@@ -228,7 +228,7 @@ COMMANDS = [
     *(("new fine no.such:thing", "no.such"), ("new fine math:tau", "math:tau")),
     ("plot STORE --kind map", "a map needs two axes of numbers that are crossed, not coins; there are coins"),
     ("plot STORE --over length", "share cannot be drawn along length; its axes are"),
-    ("plot STORE -o coins.bmp", "coins.bmp: cannot draw there: the name must end with .png, .svg, .pdf"),
+    ("check STORE --break-lock", "--break-lock goes with --repair"),
     ("plot STORE --kind sky", "no sky and no accuracy here: only studies of the link"),
     ("plot STORE --kind sky --over coins", "do not go with --kind sky"),
     *((f"plot STORE --width {w}", "must be from 40mm to 1000mm, like 88mm or 180mm") for w in ("2mm", "wide")),

@@ -115,8 +115,9 @@ def test_the_view_has_axes_and_integers_exactly_and_knows_what_nobody_asked_for(
     assert views["n"]["value"] == [str(2**60 + 1), str(2**60 + 2)] * 11
     assert views["small"]["value"] == [123456781, 123456782] * 11
     part = linksweep.run(lit | {"exclude": [{"jd": jd[1], "k": 2}]}, tmp_path / "t.zarr", pool="serial")
-    part["status"][5] = Status.FAILED
+    part["status"][5], part["small"].attrs["scale"] = Status.FAILED, "log"
     assert explorer(part, [], 10**6)[0]["excluded"] == {"dims": ["jd", "k"], "at": [3], "refined": False}
+    assert [one["scale"] for one in explorer(part, [], 10**6)[0]["quantities"]] == ["log"]
 
 
 @pytest.fixture(scope="session")

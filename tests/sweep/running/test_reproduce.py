@@ -111,6 +111,7 @@ def test_a_row_is_a_place_also_where_one_of_its_values_has_no_effect(table, tmp_
     study = live_study({"experiment": lambda a=0.0, b=0.0: a + (b or 0.0), "when": {"b": {"a": [1.0]}}, **table})
     dataset = linksweep.run(study, tmp_path / "s.zarr", pool="serial")
     places = {"a=0,b=None": None, "a=1,b=6": 6.0} | ({"point=0": None, "point=2": None} if "points" in table else {})
+    places["a=0,b=nan"] = None  # as tables say it
     assert {at: point_in(dataset, study, parse_places([at]), "").parameters["b"] for at in places} == places
     assert parse_places(["s=a,b, net=D(u=1, v=2), x=1"]) == {"s": "a,b", "net": "D(u=1, v=2)", "x": "1"}
     with pytest.raises(SweepError, match=r"b = 5 is not in the grid"):
