@@ -63,6 +63,7 @@ TREE = "__linksweep_tree__"
 LONGEST = 40
 
 PLAIN = (bool, int, float, complex, str, bytes, type(None))
+PATHS = (str, type(Path()))  # what may be a path
 
 # Methods that change their object: those that its unchangeable twin lacks, and of arrays, which have none.
 CHANGING = {*dir(list), *dir(set), *dir(dict), "fill", "put"} - {*dir(tuple), *dir(frozenset), *dir(MappingProxyType)}
@@ -334,7 +335,7 @@ class Reach:
         ``known`` has the objects of the value that have been met, and the form of each, or its number.
         """
         kind = type(value)
-        if kind in (str, type(Path())):
+        if kind in PATHS:
             value = kind(self._placed(str(value)))
         if kind in PLAIN:
             return repr(value)
@@ -525,7 +526,8 @@ class Reach:
         file = names.get("__file__") or ""
         for name, value in sorted(vars(cls).items()):  # in an order that does not depend on that of definitions
             for inner in self._pieces(value) if isinstance(value, DESCRIPTORS) else [value]:
-                if isinstance(inner, FunctionType):
+                # What makes annotations, in Python 3.14, has all names of the class; they are in its statements.
+                if isinstance(inner, FunctionType) and not name.startswith("__annotate"):
                     self._follow(self._function, inner)
                     file = file or inner.__code__.co_filename  # the cell of a notebook
                 elif not isinstance(inner, NOTHING) and (name == "__orig_bases__" or not name.startswith(PYTHONS)):
@@ -710,13 +712,13 @@ def _names_in(nodes: tuple[ast.AST, ...], code: CodeType | None) -> frozenset[st
     """Return the names that statements of a module look up in it, or functions of which this is the compiled code; what
     a class looks up it may have bound itself.
     """
-    text = "\n".join(map(unparsed, nodes))  # not the instructions, which versions of Python make differently
+    text = "\n".join(map(_with_generators, nodes))  # not the instructions, which versions of Python make differently
     text = f"def around({', '.join(code.co_freevars)}):\n pass\n{indent(text, ' ')}" if code else text
     top = symtable.symtable(text, "", "exec")
-    top = top.get_children()[0] if code else top
+    top = top.get_children()[-1] if code else top  # after what Python 3.14 has for annotations
     names = {one.get_name() for one in top.get_symbols() if one.is_referenced()}
     if code is not None:  # also in defaults and annotations: what code changes of a default is left out of its value
-        is_inner = "<" in code.co_qualname.rpartition(".")[0]  # whose defaults may have names of what is around it
+        is_inner = "<" in code.co_qualname  # whose defaults may have names of what is around it
         parts = [getattr(node, "args", node) for node in nodes if not (is_inner and hasattr(node, "args"))]
         names &= {n.id for node in parts for n in ast.walk(node) if isinstance(n, ast.Name)}
     tables = [*top.get_children()]
@@ -725,6 +727,24 @@ def _names_in(nodes: tuple[ast.AST, ...], code: CodeType | None) -> frozenset[st
         names |= {one.get_name() for one in table.get_symbols() if one.is_global() or (binds and one.is_referenced())}
         tables += table.get_children()
     return frozenset(names)
+
+
+class _Generators(ast.NodeTransformer):
+    """Makes generators of comprehensions, whose names Python 3.12 and later does not keep apart from those around."""
+
+    def generic_visit(self, node: ast.AST) -> ast.AST:
+        """Return what is to stand for a node."""
+        super().generic_visit(node)
+        if isinstance(node, ast.ListComp | ast.SetComp):
+            return ast.GeneratorExp(node.elt, node.generators)
+        if isinstance(node, ast.DictComp):
+            return ast.GeneratorExp(ast.Tuple([node.key, node.value], ast.Load()), node.generators)
+        return node
+
+
+def _with_generators(node: ast.AST) -> str:
+    text = unparsed(node)
+    return ast.unparse(_Generators().visit(ast.parse(text))) if "for" in text else text
 
 
 def _all_names(code: CodeType | None) -> set[str]:

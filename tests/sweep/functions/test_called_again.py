@@ -32,7 +32,7 @@ SAME = {
     "a dataset": lambda x: xr.Dataset({"y": ("t", [x, 2.0])}, coords={"t": [0.5, 1.5]}),
     "a seeded global generator": lambda x: (np.random.seed(4), np.random.normal())[1],  # noqa: NPY002
     "NaN": experiment(outputs=[Output("y", nan=True)])(lambda x: {"y": np.array([np.nan, x, np.inf])}),
-    "NaT": experiment(outputs=[Output("y", nan=True)])(lambda x: {"y": np.datetime64("NaT")}),
+    "NaT": experiment(outputs=[Output("y", nan=True)])(lambda x: {"y": np.datetime64("NaT", "s")}),
     "another, as declared": experiment(deterministic=False)(lambda x: random.random()),
 }
 

@@ -42,7 +42,8 @@ linksweep.sweep.stores.store.Store.write = slow
 linksweep.sweep.cli.main()
 """
 HALF = "import signal, sys, linksweep\n"
-HALF += "sys.addaudithook(lambda _, args: args[:1] == ('pandas.core.frame',) and signal.raise_signal(2))\n"
+HALF += "def hook(event, args): event == 'import' and args[0] == 'pandas.core.frame' and signal.raise_signal(2)\n"
+HALF += "sys.addaudithook(hook)\n"
 HALF += "try: linksweep.run\nexcept KeyboardInterrupt: print(linksweep.run.__name__)\n"
 
 
