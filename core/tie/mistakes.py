@@ -48,8 +48,6 @@ LARGER = {
 SQUARES = {np.nan: "variances taken for errors"}
 RATES = {365.25: "per day taken for per year", 0.01: "per century taken for per year"}
 RATES |= {10.0: "arcsec per century taken for mas per year"}
-# The velocity of a proper motion of 1 mas/yr at a parallax of 1 mas, km/s.
-KM_S = 4.74047
 # No star has a larger parallax (Proxima: 769 mas) or proper motion (Barnard's star: 10 400 mas/yr).
 LARGEST = {"mas": 1000.0, "mas/yr": 12_000.0, "mas/yr2": 300.0, "mas/yr3": 300.0}
 
@@ -309,9 +307,10 @@ def impossible(errors: Array, epoch: Array) -> Flags:
 
 def _corrections(problem: Problem, part: _Part) -> Iterator[tuple[str, int, Change]]:
     """Yield mistakes in a part, how much their corrections hide, and the changes of its table that correct them."""
-    table, words, dec = part.table, part.words, problem.satellite.values[1]
-    factor = np.ones((5, len(part.at)))
-    factor[3] = np.cos(dec if table == "satellite" else dec[problem.source])
+    table, words, stars = part.table, part.words, problem.satellite.values
+    _, dec, parallax, *_ = stars if table == "satellite" else stars[:, problem.source]
+    factor, velocity = np.ones((2, 5, len(part.at)))
+    factor[3], velocity[3:] = np.cos(dec), np.abs(np.nan_to_num(parallax)) / (4.74 * MAS)  # 1 au/yr is 4.74 km/s
     both = partial(_changed, ("values", "errors"))
     cos_dec = f"pmra of {words} is mu_alpha, without cos(dec): say --without-cos-dec {table}"
     yield cos_dec, 0, both(lambda array: array * factor)
@@ -330,7 +329,7 @@ def _corrections(problem: Problem, part: _Part) -> Iterator[tuple[str, int, Chan
         yield orbits, 0, _changed(["further"], lambda further: further * np.array([[1.0]] * 4 + [[0.0]]))
         mean = f"positions of {words} that are averages: say --accelerations mean"
         yield mean, 0, lambda table: replace(table, averaged=np.full(len(table), HALF_SPAN))
-    yield f"proper motions of {words} in km/s, taken for mas/yr", 0, _from_velocities
+    yield f"proper motions of {words} in km/s, taken for mas/yr", 0, both(lambda array: array * velocity)
     for ratio, unit, name, rows in _in_units(SMALLER | SQUARES, WITH_ERRORS):
         yield f"errors of {name} of {words} too small, {unit}", HIDES_ALL, _scaled(rows, ratio, errors=True)
     shift = best_shift(lambda years: _ratio(_applied(problem, part, _later(years)) if years else problem))
@@ -383,13 +382,6 @@ def _scaled(rows: Sequence[int], factor: float, values: bool = False, errors: bo
         return changed if plausible else table
 
     return change
-
-
-def _from_velocities(table: Astrometry) -> Astrometry:
-    """Return a table whose proper motions are taken as velocities (km/s) where there is a parallax."""
-    factors = np.ones_like(table.values)
-    factors[3:] = np.where(table.values[2] > 0.0, table.values[2] / (KM_S * MAS), 1.0)
-    return replace(table, values=table.values * factors, errors=table.errors * factors)
 
 
 def _freed(problem: Problem, turned: bool) -> Change:

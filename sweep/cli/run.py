@@ -362,29 +362,27 @@ class Target:
 
     def put(self, result: "xr.Dataset") -> None:
         """Write a result, draw its figures, and print it, also where it cannot be written."""
-        try:
-            self._write(result)
-        finally:
-            cli.print_result(result, "json" if self.as_json else "text")
-
-    def _write(self, result: "xr.Dataset") -> None:
         from linksweep.sweep.result import Result
 
-        if (output := self.output) is not None and output.suffix.lower() == ".zarr":
-            Result(result).save(output)
-            cli.wrote(output)
-            output = None
-        if output is not None or self.figures is not None:
-            from linksweep.sweep.plots import figure as drawing, style
+        output = self.output
+        try:
+            if output is not None and output.suffix.lower() == ".zarr":
+                Result(result).save(output)
+                cli.wrote(output)
+                output = None
+            if output is not None or self.figures is not None:
+                from linksweep.sweep.plots import figure as drawing, style
 
-            with style.settings():
-                figures = {} if output is None else {output: drawing.draw_figure(result)}
-                if self.figures is not None:
-                    kinds = drawing.all_figures(Result(result))
-                    figures |= {self.figures / f"{kind}.png": figure for kind, figure in kinds.items()}
-                for path, figure in figures.items():
-                    style.save(figure, path)
-                    cli.wrote(path)
+                with style.settings():
+                    figures = {} if output is None else {output: drawing.draw_figure(result)}
+                    if self.figures is not None:
+                        kinds = drawing.all_figures(Result(result))
+                        figures |= {self.figures / f"{kind}.png": figure for kind, figure in kinds.items()}
+                    for path, figure in figures.items():
+                        style.save(figure, path)
+                        cli.wrote(path)
+        finally:
+            cli.print_result(result, "json" if self.as_json else "text")
 
 
 @parsed

@@ -570,8 +570,6 @@ def forecast(satellite: str | Path, reference: str | Path, unknowns: str | None 
         base = solving.source_sums(future)
         planned = observed(*add) if add else base
         sources, steps = planning.choose(base, planned, plan.number, goal)
-        if len(sources) < plan.number:
-            further.append(f"{plan.number} sources to choose, but there are only {len(sources)}")
         total = base.matrices.sum(axis=0)
         # At the epoch of the others, to which a release moves it: the error of an orientation depends on it.
         stages = {"now": solving.source_sums(replace(problem, epoch=future.epoch)).matrices.sum(axis=0)}
@@ -604,7 +602,7 @@ def forecast(satellite: str | Path, reference: str | Path, unknowns: str | None 
         "new_error_mas": plan.error,
         "goal": ", ".join(goal.blocks or problem.unknowns.names),
         "criterion": plan.criterion,
-        "notes": [*further, *setup.notes],
+        "notes": [*further, *[f"only {len(sources)} sources to choose"] * (len(sources) < plan.number), *setup.notes],
     }
     return xr.Dataset(variables, coords=coordinates, attrs=attributes)
 
@@ -704,8 +702,6 @@ def apply(
     lost = [name for name in CORRELATIONS if not read.has(name) and np.any(np.nan_to_num(new.get(name, 0.0)))]
     if lost and not read.has("corr_vec"):
         notes.append(f"the table has no {', '.join(lost)}: these correlations, which the link adds, are lost")
-    if "satellite_read" not in link.attrs:
-        notes.append("the link does not say how its tables were read: units, names of columns, cos(dec) of pmra")
     notes.append(f"columns that were changed: {', '.join(put)}")
     said = [f"{key}={value}" for key, value in [*how.columns.items(), *how.units.items()]]
     if said := said + ["pmra without cos(dec)"] * (how.pmra_cos_dec is False):

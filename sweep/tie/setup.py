@@ -55,9 +55,6 @@ FAR_DEG, FARTHEST_DEG = 10.0 / 3600.0, 1.0
 
 ARE_RIGHT = "are the names, the epochs, and the frame and units of the positions right?"
 
-# Angle (rad) by which the axes in right ascension and declination may turn between the epochs of a star beside a pole.
-LARGEST_TURN = 0.1
-
 COARSE_EPOCHS = "the epoch has too few digits for the motion of the star and the errors of the position"
 
 # Rows of a source within two days may be the same measurement.
@@ -233,7 +230,7 @@ def set_up(satellite: str | Path, reference: str | Path, options: Options, all_s
     names = _names(left, tables[SIDES[1]], matches[0])[sources]
     stars = replace(_taken(left.astrometry, sources), names=names)
     rows, source = parts[0] if len(parts) == 1 else core.joined(*parts), np.searchsorted(sources, source)
-    notes += [*_without_parallax(stars, rows, source), *_past_poles(stars, rows, source)]
+    notes += _without_parallax(stars, rows, source)
     stars = satellite_at_rest(stars, rows, source)
     epoch = default_epoch(stars.epoch) if options.epoch is None else options.epoch
     problem = Problem(stars, rows, source, Unknowns(()), epoch, options.weights, tables=tuple(tables)[1:])
@@ -272,16 +269,6 @@ def _without_parallax(stars: Astrometry, rows: Astrometry, source: Indices) -> l
     said = "positions of a single epoch are displaced by parallaxes, and these sources have none, nor motions"
     are_none = len(observed) >= 5 and squares < 4.0 * len(values)
     return [f"{said}: if they are quasars, say --extragalactic reference"] if are_none else []
-
-
-def _past_poles(stars: Astrometry, rows: Astrometry, source: Indices) -> list[str]:
-    """Return a note on stars that move past a pole before the epochs of their rows."""
-    years = np.nan_to_num(rows.epoch - stars.epoch[source])
-    motion = np.hypot(*np.nan_to_num(stars.values[3:, source])) * np.abs(np.tan(stars.values[1, source]))
-    if not len(near := np.unique(source[np.abs(years) * motion > LARGEST_TURN])):
-        return []
-    said = f"the axes of {first_of(np.asarray(stars.names)[near].tolist(), 5)} turn while the star moves past a pole"
-    return [f"{said}, which is not corrected for: the link may be off by some of its errors"]
 
 
 def quasars_at_rest(stars: Astrometry, rows: Astrometry, source: Indices, aberration: float = 0.0) -> Astrometry:

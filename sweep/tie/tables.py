@@ -90,9 +90,7 @@ _ELEMENT = re.compile(
 _IN_NUMBERS = dict.fromkeys(("none", "null", "--"), "nan") | dict.fromkeys(("t", "true"), "1")
 _IN_NUMBERS |= dict.fromkeys(("f", "false"), "0")
 # Names of columns that are like those of correlations, but for those with the colour in the Gaia archive.
-_CORRELATION = re.compile(
-    r"^(corr?|rho|cov)(?![a-z])|^(ra|dec?|plx|parallax|pm(ra|de))\w+(?<!pseudocolour)_(corr?\w*|rho|cov)$", re.I
-)
+_CORRELATION = re.compile(r"^(corr?|rho|cov)(?![a-z])|^(?!.*colour)(ra|de|plx|pm\w\w)\w\w+_?(corr?\w*|rho|cov)$", re.I)
 _ELEMENT_OF_HIPPARCOS = re.compile(r"[+-]?\d*\.\d\d")  # of six characters, which may touch
 
 _BUILT_IN = Path(str(resources.files("linksweep.sweeps") / "data")).resolve()
@@ -387,9 +385,9 @@ def _note_unlikely(read: Columns, names: Sequence[str], values: Array, errors: A
     for name, value, error in zip(names, values, errors, strict=True):
         unit = UNITS[name]
         most = np.inf if name in ("ra", "dec") else mistakes.LARGEST[unit]
-        if len(beyond := np.flatnonzero((np.abs(value) > most * MAS) & (np.abs(value) > 5.0 * error))):
+        if len(beyond := np.flatnonzero((np.abs(value) > most * MAS) & np.isfinite(error))):
             what = f"{name} beyond {most:g} {unit}, which no star has"
-            read.notes.append(f"{what}: is its unit right? {core.named_rows(beyond)}")
+            read.notes.append(f"{what}: is its unit right, or a value missing? {core.named_rows(beyond)}")
         known = error[np.isfinite(error) & (error > 0.0)] / MAS
         low, high = mistakes.PLAUSIBLE
         if len(known) and not low <= (median := float(np.median(known))) <= high:
@@ -534,10 +532,9 @@ def _correlations(read: Columns, present: Flags, checked: bool) -> Array | None:
     first, second = core.FIRST[: len(keys)], core.SECOND[: len(keys)]
     vector, named = read.name("corr_vec"), [read.name(key) for key in keys]
     names = [name or vector for name in named]
-    there = {*names, *map(read.name, CORRELATIONS)}
-    if unused := [name for name in read.names if _CORRELATION.search(name) and name not in there]:
-        said = f"{first_of(unused, 5)}: not used; if these are correlations, name them"
-        read.notes.append(f"{said}, --column ra_dec_corr={unused[0]}")
+    alike = [n for n in read.names if _CORRELATION.search(n) and n not in (*names, *map(read.name, CORRELATIONS))]
+    said = f"{first_of(alike, 5)}: not used; if these are correlations, say --column ra_dec_corr=NAME"
+    read.notes += [said] if alike else []
     if not any(names):
         return None
     correlations = np.array([np.full(len(read), np.nan) if name is None else read.numbers(name) for name in named])

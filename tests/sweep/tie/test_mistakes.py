@@ -186,16 +186,13 @@ def test_an_absurd_link_is_printed_but_not_written_unless_it_is_accepted_also_in
     assert "is mu_alpha" in linksweep.run(study, tmp_path / "s.zarr", pool="serial").attrs["warnings"]
 
 
-def test_precise_tables_show_other_years_variances_and_stars_at_a_pole(tmp_path):
+def test_precise_tables_show_besselian_years_and_variances(tmp_path):
     for names, change, said in (
         (["ref_epoch"], lambda years: Time(years, format="jyear").byear, "reference in Besselian years, taken for"),
         (POSITIONS, np.square, "errors of positions of the reference too small, variances taken for errors"),
-        (["dec"], lambda dec: np.where(abs(dec - dec[0]) < 0.1, 89.995, dec), f"the axes of {10**17} turn while"),
     ):
         satellite, reference = sky(9, 2, pm=500.0, scale=0.1)
-        changed = [satellite, reference] if names == ["dec"] else [reference]
-        for table in changed:
-            table.update({name: change(np.array(table[name])) for name in names})
+        reference.update({name: change(np.array(reference[name])) for name in names})
         reference["rho"] = 0.5
         notes = " ".join(solved(tmp_path, satellite, reference))
         assert said in notes
