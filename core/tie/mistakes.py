@@ -45,7 +45,7 @@ LARGER = {
     1.0 / 1.5e4: "mas taken for seconds of time",
 }
 # What stands there in place of a factor for numbers that are squares.
-SQUARES = {np.nan: "variances taken for errors"}
+ROOTS = {np.nan: "variances taken for errors"}
 RATES = {365.25: "per day taken for per year", 0.01: "per century taken for per year"}
 RATES |= {10.0: "arcsec per century taken for mas per year"}
 # No star has a larger parallax (Proxima: 769 mas) or proper motion (Barnard's star: 10 400 mas/yr).
@@ -243,8 +243,7 @@ def _deficit(problem: Problem, groups: Sequence[_Group]) -> str:
     for group in groups:
         names = {group.words.removeprefix("the ").partition(" of ")[0]: group.rows} | WITH_ERRORS
         wholes = [part for part in _wholes(problem) if part.table in ("satellite", group.part.table)]
-        units = _in_units(LARGER | SQUARES, names)
-        for (factor, unit, name, rows), part in product(units, (group.part, *wholes[::-1])):
+        for (factor, unit, name, rows), part in product(_in_units(LARGER | ROOTS, names), (group.part, *wholes[::-1])):
             change = factor, rows, part.table, part.at.tobytes()
             if change not in levels:
                 levels[change] = _levels(problem, part, _scaled(rows, factor, errors=True))
@@ -330,7 +329,7 @@ def _corrections(problem: Problem, part: _Part) -> Iterator[tuple[str, int, Chan
         mean = f"positions of {words} that are averages: say --accelerations mean"
         yield mean, 0, lambda table: replace(table, averaged=np.full(len(table), HALF_SPAN))
     yield f"proper motions of {words} in km/s, taken for mas/yr", 0, both(lambda array: array * velocity)
-    for ratio, unit, name, rows in _in_units(SMALLER | SQUARES, WITH_ERRORS):
+    for ratio, unit, name, rows in _in_units(SMALLER | ROOTS, WITH_ERRORS):
         yield f"errors of {name} of {words} too small, {unit}", HIDES_ALL, _scaled(rows, ratio, errors=True)
     shift = best_shift(lambda years: _ratio(_applied(problem, part, _later(years)) if years else problem))
     moved = _later(shift)(problem.satellite if table == "satellite" else problem.rows)

@@ -251,8 +251,8 @@ def test_each_format_is_read_and_gives_the_link_of_what_gaiasupdate_finds(tmp_pa
     assert float((link.transit_residual / link.transit_error).std()) == pytest.approx((19 / 24) ** 0.5, abs=0.15)
 
 
-def times(name, factor, add=0.0):
-    return lambda sky: sky.scans.replace_column(name, sky.scans[name] * factor + add)
+def times(name, factor, add=0.0, then=np.array):
+    return lambda sky: sky.scans.replace_column(name, then(sky.scans[name] * factor + add))
 
 
 def put(name, at, value):
@@ -266,10 +266,6 @@ def angles_of_one_star(sky):
 def one_binary(sky):
     far = 9.0 * np.sin(np.array(sky.scans["obs_time_tcb"]) / 2e16) * np.sin(np.radians(sky.scans["scan_pos_angle"]))
     sky.scans["centroid_pos_al"] += far * (sky.scans["source_id"] == sky.scans["source_id"][0])[:, None]
-
-
-def whole_degrees(sky):
-    sky.scans["scan_pos_angle"] = np.round(sky.scans["scan_pos_angle"])
 
 
 def of_dr3(sky):
@@ -295,7 +291,7 @@ MISTAKES = {  # what changes tables, and the words of a misfit
     "a binary": (one_binary, f"of {10**17} is .*not single, whose paths --star-model and --orbits give"),
     "parallax": (times("parallax_factor_al", -1.0), f"{CHI2}parallax factors with reversed sign"),
     "positions in arcsec": (times("centroid_pos_al", 1e-3), f"{CHI2}positions along the scan, arcsec taken for mas"),
-    "whole degrees": (whole_degrees, "scan_pos_angle has too few digits for the errors of the positions"),
+    "whole degrees": (times("scan_pos_angle", 1.0, then=np.round), "scan_pos_angle has too few digits for the errors"),
     "one star's angles": (angles_of_one_star, "of 100000000000000000 .*scan angles with reversed sign"),
 }
 REFUSALS = {  # what changes tables, or options; and the words of an error
