@@ -4,6 +4,7 @@ import os
 import signal
 import sys
 import time
+from types import SimpleNamespace
 
 import pytest
 from distributed import Client, KilledWorker, LocalCluster
@@ -156,3 +157,20 @@ def test_the_piece_of_a_worker_that_dies_is_computed_by_another_and_limits_hold_
         resources, words = Resources(**how, limits=Limits(time_s=0.5)), r"longer than the time limit of 0\.5 s"
         with pytest.raises(SweepError, match=words), executor.mapped(EXPERIMENT, resources, print) as run:
             list(run(slept, [(60.0,)]))
+
+
+@pytest.mark.slow
+def test_a_point_whose_workers_die_is_blamed_where_others_compute(coins, tmp_path, dask, monkeypatch):
+    def dying(task, **options):
+        if any(dict(point).get("coins") == 7 for unit in task.units for point in unit.points):
+            with (tmp_path / "guarded").open("a") as file:
+                file.write(f"{options['guarded']} ")
+            raise KilledWorker("task", SimpleNamespace(address="tcp://a:1"), 0)
+        return run_on_worker(task, **options | {"guarded": False})
+
+    monkeypatch.setattr(clusters, "run_on_worker", dying)
+    more = {"axes": {"coins": [*range(1, 61)]}, "fixed": {}, "sampling": {"n_sim": 10}}
+    many = live_study(coins | more)
+    _, failures = run_study(many, tmp_path / "s.zarr", dask, Sentences())
+    assert (*failures, "its worker died 3 times" in failures["coins=7"]) == ("coins=7", True)
+    assert (tmp_path / "guarded").read_text() == "False True True "  # in a child process from the second time on
