@@ -67,7 +67,7 @@ L = threading.Lock()
 C = ctypes.CDLL(str(Path(__file__).parent / "c.so"))
 Z = zarr.zeros(1)
 T = [eval("lambda x: x", {"__name__": None})]
-@linksweep.experiment(reads=["READS"])
+@linksweep.experiment(reads=["READS"], packages="pip")
 def f(x: float):
     with L:
         C.PyInit__ctypes, Z
@@ -141,17 +141,17 @@ def test_other_code_is_refused_with_what_differs_and_nothing_is_written(kind, fo
 
 
 def test_points_at_a_default_are_never_taken_for_those_at_another(tmp_path, sweep):
-    def run(default, *more):
+    def run(default, *more, code=0):
         (tmp_path / "m.py").write_text(f"def f(x: float, z: int = {default}):\n    return 100 * x + z\n")
-        return sweep(*(["run", "m.py:f"] if more[0] == "--axis" else []), *more, cwd=tmp_path)
+        return sweep(*(["run", "m.py:f"] if more[0] == "--axis" else []), *more, cwd=tmp_path, code=code)
 
-    assert run(2, "--axis", "x=1,2", "--axis", "z=2,3", "-o", "s.zarr")[0] == 0
-    assert [run(z, "--axis", "x=5", "-o", store)[0] for z, store in ((2, "v.zarr"), (3, "t.zarr"))] == [0, 0]
+    run(2, "--axis", "x=1,2", "--axis", "z=2,3", "-o", "s.zarr")
+    for z, store in ((2, "v.zarr"), (3, "t.zarr")):
+        run(z, "--axis", "x=5", "-o", store)
     commands = ["--axis x=1 --set z=3 -o s.zarr --accept-code", "--axis x=1 --set z=2 -o v.zarr"]
     commands += ["--axis x=1 -o s.zarr --redo old", "--axis x=1 -o s.zarr --only --accept-code"]
     for command in (*commands, "merge s.zarr t.zarr -o u.zarr --accept-code"):
-        code, _, err = run(3, *command.split())
-        assert (code, "default of z is 2" in err) == (2, True), err
+        assert "default of z is 2" in run(3, *command.split(), code=2)[2]
     assert linksweep.open(tmp_path / "s.zarr").f.values.tolist() == [[102.0, 103.0], [202.0, 203.0]]
 
 
@@ -159,8 +159,8 @@ def test_points_at_a_default_are_never_taken_for_those_at_another(tmp_path, swee
 def test_where_all_points_are_computed_again_results_may_be_others(tmp_path, sweep, results):
     for result in results:
         (tmp_path / "m.py").write_text(f"def f(x: float):\n    return {result}\n")
-        code, _, err = sweep("run", "m.py:f", "--axis", "x=1,2", "-o", "s.zarr", "--redo", "old", cwd=tmp_path)
-        assert code == (" - " in result), err
+        code = int(" - " in result)
+        sweep("run", "m.py:f", "--axis", "x=1,2", "-o", "s.zarr", "--redo", "old", cwd=tmp_path, code=code)
     assert sweep("check", "s.zarr", cwd=tmp_path)[0] == 0
     actual = linksweep.open(tmp_path / "s.zarr").drop_vars(["status", "wall_time", "code"], errors="ignore")
     want = eval(results[-1], {"x": 2.0})
@@ -304,8 +304,7 @@ def test_a_value_counts_where_it_is_bound_whoever_imports_it(tmp_path, sweep, st
     for there, expected in ((value, 0), (value, 0), (other, 2)):
         needs = "import scipy.stats" if "scipy" in value else "import numpy as np"
         (tmp_path / "m.py").write_text(f"{needs}\nV = {there}\n")
-        code, _, err = sweep("run", "main.py:f", "--axis", "x=1", "-o", "s.zarr", cwd=tmp_path)
-        assert code == expected, err
+        err = sweep("run", "main.py:f", "--axis", "x=1", "-o", "s.zarr", cwd=tmp_path, code=expected)[2]
     assert f"value m.V ({tmp_path}/m.py, line 2)" in err
 
 
@@ -363,13 +362,13 @@ def test_the_order_counts_in_which_modules_act_on_others(tmp_path, sweep, last):
         assert (code, "order of modules is" in err) == (expected, expected == 2), err
 
 
-def test_what_has_no_canonical_form_is_named_once_and_declared_files_count(tmp_path, sweep):
+def test_what_has_no_canonical_form_is_named_once_and_declared_files_and_packages_count(tmp_path, sweep, monkeypatch):
     (tmp_path / "k.csv").write_text("3")
     shutil.copy(_ctypes.__file__, tmp_path / "c.so")
     for reads in ("nope.csv", ".", "*.csv"):
         (tmp_path / "m.py").write_text(DECLARED.replace("READS", reads))
-        code, _, err = sweep("run", "m.py:f", "--axis", "x=1", "-o", "s.zarr", cwd=tmp_path)
-        assert (code, f"reads: {reads!r} is no file in" in err) == (2, True), err
+        err = sweep("run", "m.py:f", "--axis", "x=1", "-o", "s.zarr", cwd=tmp_path, code=2)[2]
+        assert f"reads: {reads!r} is no file in" in err
         assert not (tmp_path / "s.zarr").exists()
     (tmp_path / "m.py").write_text(DECLARED.replace("READS", "k.csv"))
     for axis in ("x=1", "x=1,2"):
@@ -380,16 +379,10 @@ def test_what_has_no_canonical_form_is_named_once_and_declared_files_count(tmp_p
     for name, said in (("k.csv", "file k.csv"), ("c.so", "value m.C")):
         (tmp_path / "new").write_bytes((tmp_path / name).read_bytes() + b" ")
         (tmp_path / "new").replace(tmp_path / name)
-        code, _, err = sweep("run", "m.py:f", "--axis", "x=1,2,3", "-o", "s.zarr", cwd=tmp_path)
-        assert (code, said in err) == (2, True), err
-
-
-def test_the_version_of_a_declared_package_counts(tmp_path, monkeypatch):
-    run = functools.partial(linksweep.run, linksweep.experiment(packages="pip")(lambda x: x), tmp_path / "s")
-    run(axes={"x": [1.0]}, pool="serial")
+        assert said in sweep("run", "m.py:f", "--axis", "x=1,2,3", "-o", "s.zarr", cwd=tmp_path, code=2)[2]
     monkeypatch.setattr("linksweep.sweep.code.version_of", lambda name: "9.9")
-    with pytest.raises(linksweep.SweepError, match=r"package pip is .* in the store, 9\.9 now"):
-        run(axes={"x": [1.0, 2.0]}, pool="serial")
+    err = sweep("run", "m.py:f", "--axis", "x=1,2,3", "-o", "s.zarr", cwd=tmp_path, code=2)[2]
+    assert re.search(r"package pip is .* in the store, 9\.9 now", err)
 
 
 @pytest.mark.parametrize("then", [1, 100])
@@ -398,8 +391,7 @@ def test_a_declared_file_that_changes_during_a_run_mixes_nothing(tmp_path, sweep
     (tmp_path / "k.csv").write_text("1")
     run = "run", "m.py:f", "--axis", "x=1:6:1", "-o", "s.zarr", "--pool", "serial"
     for said in ("k.csv has changed during the run", "file k.csv has changed"):
-        code, _, err = sweep(*run, cwd=tmp_path)
-        assert (code, said in err) == (2, True), err
+        assert said in sweep(*run, cwd=tmp_path, code=2)[2]
         (tmp_path / "k.csv").write_text(str(then))
     assert sweep(*run, "--redo", "old", cwd=tmp_path)[0] == 0
     assert linksweep.open(tmp_path / "s.zarr").f.values.tolist() == [then * x for x in range(1, 7)]
