@@ -139,13 +139,14 @@ def test_json_is_the_summary(folder):
 
 
 def test_no_match_still_makes_every_output_and_replaces_none_without_overwrite(folder):
-    (folder / "a.ecsv").write_text("mine")
+    (folder / "mine.ecsv").write_text("mine")
+    (folder / "a.ecsv").symlink_to("mine.ecsv")
     options = "--error 1 --radius 0.00001 --epoch 1800 -o a.ecsv --table a.dat --figure a.svg"
     result = run(*ARGUMENTS[:2], *options.split())
     assert (result.exit_code, result.output) == (2, "error: a.ecsv exists; --overwrite replaces it\n")
-    assert ((folder / "a.ecsv").read_text(), len(list(folder.iterdir()))) == ("mine", 5)
+    assert ((folder / "a.ecsv").read_text(), len(list(folder.iterdir()))) == ("mine", 6)
     assert run(*ARGUMENTS[:2], *options.split(), "--overwrite").exit_code == 0
-    assert (len(read_matches(folder / "a.ecsv")), (folder / "a.dat").read_text()) == (0, "")
+    assert (len(read_matches(folder / "mine.ecsv")), (folder / "a.dat").read_text()) == (0, "")  # through the link
 
 
 def test_gaia_identifiers_are_carried_and_missing_proper_motions_may_be_zero(folder):
