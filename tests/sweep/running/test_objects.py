@@ -111,6 +111,11 @@ def test_what_is_there_under_a_label_is_not_computed_again(tmp_path_factory, thi
 def test_an_object_of_ones_own_needs_a_label_and_constants_and_tables_have_objects(tmp_path):
     ds = run(tmp_path / "s.zarr", axes={"thing": {"small": Net(8), "large": Net(16)}, "x": [1.0, 2.0]})
     assert ds.y.sel(x=2.0).values.tolist() == [16.0, 32.0]
+    axes = {"thing": {"small": Net(9), "large": Net(16)}, "x": [2.0]}
+    with pytest.raises(linksweep.SweepError, match="thing: 'small' is another value than in the store"):
+        run(tmp_path / "s.zarr", axes=axes)
+    run(tmp_path / "s.zarr", axes=axes, only=True)
+    assert linksweep.open(tmp_path / "s.zarr").y.sel(x=2.0).values.tolist() == [18.0, 32.0]
     assert run(tmp_path / "c.zarr", fixed={"thing": (1, 2)}).text.item() == "tuple (1, 2)"
     things = [(1, 2), None, Colour.BLUE, np.sin, [3], {"k": (1, 2)}, (1, (2, 3))]
     table = {"thing": things, "x": [*map(float, range(7))], "w": things}
@@ -163,18 +168,6 @@ def test_infinity_and_nan_are_values_of_functions_and_large_defaults_are_left_as
     values = [(2.0, "inf", "nan"), (1.0, "1.0", "nan"), (1.0, "inf", "nan"), (1.0, "nan", "nan"), (1.0, "inf", "inf")]
     assert actual == {f"({x}, {p}, {q}, {2**70})" for x, p, q in values}
     assert "every bit" in sweep("reproduce", "s.zarr", "--at", "x=1,p=nan,q=nan", cwd=tmp_path)[2]
-
-
-def test_another_object_under_a_label_of_the_store_is_refused(tmp_path):
-    def run(width, **more):
-        axes = {"net": {"small": Net(width), "big": Net(80)}}
-        linksweep.run(lambda net: net.width, tmp_path / "s.zarr", axes=axes, pool="serial", **more)
-
-    run(8)
-    with pytest.raises(linksweep.SweepError, match="net: 'small' is another value than in the store"):
-        run(9)
-    run(9, only=True)
-    assert linksweep.open(tmp_path / "s.zarr").result.values.tolist() == [9, 80]
 
 
 def test_where_a_declared_parameter_has_no_effect_there_is_one_point_without_it(tmp_path, sweep):

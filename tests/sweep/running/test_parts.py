@@ -268,6 +268,9 @@ def test_failures_are_kept_unless_the_other_store_has_the_point(into, tmp_path, 
         into(store, axes={"k": k}, fixed={"word": "b", "x": x})
     merge([a, f], tmp_path / "g")
     assert "2 points failed: ValueError: no b at 1.0, for example at k=7,x=1.0" in sweep("watch", tmp_path / "g")[1]
+    for word in "zyx":
+        into(word, axes={"word": [word]})
+    assert [*merge([tmp_path / word for word in "zyx"], tmp_path / "words").word.values] == ["z", "y", "x"]
     ds = merge([a, b], c)
     with pytest.raises(SweepError, match="holds a store already"):
         merge([a, f], c)
