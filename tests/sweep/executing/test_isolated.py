@@ -125,6 +125,18 @@ def test_of_points_that_share_random_numbers_the_one_that_ends_its_process_fails
 
 
 @pytest.mark.slow
+def test_each_worker_has_an_equal_share_of_the_memory(tmp_path, monkeypatch):
+    def large(x: int):
+        kept = b"x" * x
+        time.sleep(x / 1e8)
+        return len(kept)
+
+    monkeypatch.setattr("psutil.virtual_memory", lambda: type("Memory", (), {"total": 6 * 10**8}))
+    ds = run(large, tmp_path / "s.zarr", axes={"x": [1, 5 * 10**8]}, workers=2)
+    assert (ds.status.values.tolist(), "needs more than the memory limit of 0.3 GB" in ds.failures) == ([1, 2], True)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("deed", HARMLESS)
 def test_what_a_function_does_to_its_process_does_not_reach_the_run(tmp_path, sweep_here, deed):
     how = "-o", "s.zarr", *deed.partition("# ")[2].split()
