@@ -47,6 +47,8 @@ def test_repeated_rows_are_computed_once_and_stand_in_the_table_as_often(tmp_pat
     assert (ds.attrs["points"], ds.attrs["points_done"], ds.attrs["complete"]) == (10, 10, 1)
     assert np.all(ds.status == 1)
     assert xr.open_zarr(tmp_path / "s.zarr").load().y.values.tolist() == expected
+    run(model, tmp_path / "s.zarr", points={"k": [1, 3, 4]}, axes={"x": [1.0]})  # joins the table with the column x
+    assert linksweep.open(tmp_path / "s.zarr").attrs["points"] == 12
 
 
 def test_a_table_grows_at_its_end_and_is_refused_where_old_rows_change(tmp_path, monkeypatch):
@@ -69,6 +71,9 @@ def test_a_table_grows_at_its_end_and_is_refused_where_old_rows_change(tmp_path,
     same = run(model, store, points={"x": [1.0, 2.0, 3.0], "k": [1, 1, 1]})
     assert (same.y.values.tolist(), calls[-3:]) == (more.y.values.tolist(), [(1.0, 1), (2.0, 1), (3.0, 1)])
     assert run(model, store, points={"x": [9.0]}, fresh=True).y.values.tolist() == [1.9]
+    for rows in ({"x": [1.0], "k": [2]}, {"k": [2], "x": [1.0]}, {"k": [2, 1], "x": [1.0, 3.0]}):  # in another order
+        run(model, tmp_path / "t.zarr", points=rows)
+    assert linksweep.open(tmp_path / "t.zarr").y.values.tolist() == [0.1 * 1.0 + 2, 0.1 * 3.0 + 1]
 
 
 @pytest.mark.parametrize("design", ["sobol", *map(slow, ["halton", "random", "saltelli", "morris"])])
@@ -238,10 +243,3 @@ def test_labels_do_not_depend_on_the_order_in_which_stores_are_merged(tmp_path, 
     labels = dict(zip(zip(frame.x, frame.y, strict=True), frame.well, strict=True))
     expected = {(1.0, 2.0): "A", (5.0, 2.0): "B", (1.0, 7.0): "C", (5.0, 7.0): "D", (9.0, 2.0): "", (1.0, 3.0): ""}
     assert labels == expected
-
-
-def test_a_table_beside_another_on_whose_column_there_is_an_axis_joins_it(tmp_path):
-    model, _ = counting()
-    run(model, tmp_path / "s.zarr", points={"x": [1.0, 2.0]}, axes={"k": [1, 2]})
-    run(model, tmp_path / "s.zarr", points={"k": [1, 3, 4]}, axes={"x": [1.0]})
-    assert linksweep.open(tmp_path / "s.zarr").attrs["points"] == 6

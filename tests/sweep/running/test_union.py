@@ -254,14 +254,6 @@ def test_points_that_are_computed_again_say_so_until_they_are_and_each_is_once(t
     assert sorted(calls) == [2.0, 3.0, 4.0]
 
 
-def test_columns_of_a_table_may_come_in_another_order(here, sweep):
-    Path("m.py").write_text("def f(x: float, y: float = 1.0):\n    return 10 * x + y\n")
-    for rows in ("x,y\n1,2\n", "y,x\n2,1\n3,1\n", "y,x\n2,1\n3,1\n"):
-        Path("p.csv").write_text(rows)
-        sweep("run", "m.py:f", "--points", "p.csv", "-o", "s.zarr", code=0)
-    assert linksweep.open("s.zarr").f.values.tolist() == [12.0, 13.0]
-
-
 @pytest.mark.parametrize("y", [slow([7.0, 6.0]), [7.0, 8.0]])
 def test_zipped_axes_with_a_value_that_repeats_become_a_table(tmp_path, y):
     (tmp_path / "m.py").write_text("def f(x: float, y: float):\n    return 10 * x + y\n")
