@@ -50,7 +50,7 @@ def test_every_study_has_a_picture_without_options(dataset_of, name):
     assert len(figure._repr_png_()) > 10_000  # as a notebook shows it
 
 
-@pytest.mark.parametrize("n", [5, 60])
+@pytest.mark.parametrize("n", [5, slow(60)])
 def test_every_number_is_in_its_place_whatever_the_order_of_the_points(n):
     rng, size = np.random.default_rng(1), np.array([3.0, 1.0, 2.0])
     x = rng.permutation(np.geomspace(1.0, 90.0, n))
