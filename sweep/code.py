@@ -1180,7 +1180,8 @@ def code_of(reference: str, experiment: Experiment, digest: str | None = None) -
     """
     place, parameters, code = reference.rpartition(":")[0], experiment.parameters, dict[str, str]()
     if place.partition(".")[0] != OURS or distributions_of(place) != ():
-        code |= parts_of(reference, digest or source_digest(reference))
+        digest = digest or source_digest(reference)
+        code |= {**parts_of(reference, digest), **_contents_of(_find(reference, digest=digest))}  # as they are now
         code |= {f"default of {p.name}": json.dumps(p.written_default(), default=str) for p in parameters}
         code |= {f"default of {p.name}, an object": p.default.name for p in parameters if isinstance(p.default, Named)}
     packages = [name.removeprefix("package ") for name in code if name.startswith("package ")]
@@ -1206,7 +1207,7 @@ def _reach(value: Any, module: str = "") -> Reach:
     for name, kind in reached.unnoticed.items():
         _warn(f"changes of {name}, a {kind}, are not noticed")
     reached.parts.update(reached.statements)
-    reached.parts.update({f"file {name}": digest_of(file.read_bytes()) for name, file in _read_by(value).items()})
+    reached.parts.update(_contents_of(value))
     return reached
 
 
@@ -1243,6 +1244,10 @@ def _read_by(value: Any) -> dict[str, Path]:
     if missing := [name for name, file in files.items() if not file.is_file()]:
         raise SweepError(f"reads: {shown(missing[0])} is no file in {folder}", label_of(value))
     return files
+
+
+def _contents_of(value: Any) -> dict[str, str]:
+    return {f"file {name}": digest_of(file.read_bytes()) for name, file in _read_by(value).items()}
 
 
 def _digest(parts: Mapping[str, str]) -> str:

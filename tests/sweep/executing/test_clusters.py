@@ -150,7 +150,11 @@ def test_a_client_computes_the_same_bits_and_goes_on_to_work(client, tmp_path, m
         linksweep.run(lambda x: time.sleep(0.02) / x, tmp_path / "s.zarr", axes=AXES, client=client, max_failures=1)
     wait_until(lambda: not any(client.processing().values()), "the end of its tasks")
     assert (client.status, before.result(), client.submit(np.sqrt, 9.0).result()) == ("running", 2.0, 3.0)
+    reads = "import linksweep\n@linksweep.experiment(reads=['k.csv'])\ndef f(x: int):\n    return x\n"
+    (tmp_path / "m.py").write_text(reads)
     for n in (1, 2):  # as where a cell is executed again: workers get the same code anew, with its class
+        (tmp_path / "k.csv").write_text(str(n))  # which is for them as it is now
+        linksweep.run(f"{tmp_path}/m.py:f", tmp_path / "m", axes={"x": [n]}, client=client, fresh=True)
         members = list(enum.Enum("Kind", "RED BLUE"))
         axes = {"k": members, "x": range(n)}
         ds = linksweep.run(partial(lambda red, k, x: k is red, members[0]), tmp_path / "k", axes=axes, client=client)
