@@ -274,6 +274,11 @@ def from_tangent_plane(x: Array, y: Array, ra: Array, dec: Array) -> Array:
     return np.stack(erfa.tpsts(x, y, ra, dec))
 
 
+def julian_years(besselian: Array) -> Array:
+    """Return the Julian years of Besselian ones, (N,)."""
+    return np.asarray(erfa.epj(*erfa.epb2jd(besselian)))
+
+
 @dataclass(frozen=True)
 class Differences:
     """R rows: ``values`` f (R, 5), zero where absent, ``partials`` M (R, 5, 5), ``covariance`` V (R, 5, 5) and which

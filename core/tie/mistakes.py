@@ -10,12 +10,11 @@ from functools import cache, partial
 from itertools import combinations, product
 from typing import Any, NamedTuple
 
-import erfa
 import numpy as np
 from scipy.special import chdtr, chdtrc, chdtri
 
 from linksweep.core.frames import MAS, Array, Flags, Indices, LinkError, Names
-from linksweep.core.tie.astrometry import HALF_SPAN, PAIRS, Astrometry, by_errors, kinds
+from linksweep.core.tie.astrometry import HALF_SPAN, PAIRS, Astrometry, by_errors, julian_years, kinds
 from linksweep.core.tie.problem import NormalSums, Problem, Solution, discrepancies, leave_one_out, solve, source_sums
 
 # chi2 over its expectation above and below which it is said first, and above which a link is not given unasked. Radio
@@ -336,8 +335,7 @@ def _corrections(problem: Problem, part: _Part) -> Iterator[tuple[str, int, Chan
     if not np.any(part.at & impossible(moved.errors, moved.epoch)):
         early = "early" if shift > 0.0 else "late"
         yield f"epochs of {words} {round(abs(shift), 2) or abs(shift):.3g} years too {early}", 0, _later(shift)
-    besselian = _changed(["epoch"], lambda epoch: erfa.epj(*erfa.epb2jd(epoch)))
-    yield f"epochs of {words} in Besselian years, taken for Julian ones", 0, besselian
+    yield f"epochs of {words} in Besselian years, taken for Julian ones", 0, _changed(["epoch"], julian_years)
 
 
 def _later(years: float) -> Change:

@@ -570,6 +570,7 @@ def forecast(satellite: str | Path, reference: str | Path, unknowns: str | None 
         base = solving.source_sums(future)
         planned = observed(*add) if add else base
         sources, steps = planning.choose(base, planned, plan.number, goal)
+        further += [f"only {len(sources)} sources to choose"] if len(sources) < plan.number else []
         total = base.matrices.sum(axis=0)
         # At the epoch of the others, to which a release moves it: the error of an orientation depends on it.
         stages = {"now": solving.source_sums(replace(problem, epoch=future.epoch)).matrices.sum(axis=0)}
@@ -602,7 +603,7 @@ def forecast(satellite: str | Path, reference: str | Path, unknowns: str | None 
         "new_error_mas": plan.error,
         "goal": ", ".join(goal.blocks or problem.unknowns.names),
         "criterion": plan.criterion,
-        "notes": [*further, *[f"only {len(sources)} sources to choose"] * (len(sources) < plan.number), *setup.notes],
+        "notes": [*further, *setup.notes],
     }
     return xr.Dataset(variables, coords=coordinates, attrs=attributes)
 
