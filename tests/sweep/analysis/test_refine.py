@@ -118,6 +118,7 @@ def test_midpoints_are_values_of_the_axis_in_its_own_spacing():
     assert 1e-9 < np.sort(abs(ds.x.values - 2459999.0 - 1.0 / 0.6))[1] < 5e-6
 
 
+@pytest.mark.slow
 def test_a_point_gets_realisations_rather_than_neighbours_below_its_error_and_no_more_than_a_fifth_are_spent():
     goal = {"axes": ELEVEN, "sampling": {"n_sim": 100, "seed": 3}, "find": "y_mean > 0", "pool": "serial"}
     ds = linksweep.refine(noisy, "n.zarr", within=0.01, **goal)

@@ -23,7 +23,8 @@ ERRORS = [UnboundLocalError("result"), slow(TimeoutError("of a stream")), slow(O
 EXPERIMENT = "linksweep.core.experiment:link"
 
 
-@pytest.mark.parametrize("pool", [p if p == "threads" else slow(p) for p in POOLS])
+@pytest.mark.slow
+@pytest.mark.parametrize("pool", POOLS)
 def test_what_is_finished_is_kept_though_a_later_block_never_ends(tmp_path, start_sweep, pool):
     (tmp_path / "f.py").write_text("import time\ndef f(seconds: float):\n    return time.sleep(seconds) or seconds\n")
     store = tmp_path / "s.zarr"

@@ -49,8 +49,9 @@ def test_another_result_is_refused_by_name(kind, pool, tmp_path):
         assert (run(accepted, tmp_path / "s.zarr", axes=AXES, pool=pool).status == 1).all()
 
 
-@pytest.mark.parametrize("pool", ["processes", *map(slow, ["serial", "threads", None])])
-@pytest.mark.parametrize("last", [1, slow(5)])
+@pytest.mark.slow
+@pytest.mark.parametrize("pool", ["processes", "serial", "threads", None])
+@pytest.mark.parametrize("last", [1, 5])
 def test_so_it_is_where_a_call_takes_a_good_part_of_a_second(tmp_path, pool, last):
     def late(x: int):
         time.sleep(0.3)

@@ -227,7 +227,7 @@ def test_a_condition_that_means_nothing_is_refused(tmp_path, when):
     assert not (tmp_path / "s").exists()
 
 
-@pytest.mark.parametrize("kind", [Colour, enum.Enum("Kind", "RED BLUE")])
+@pytest.mark.parametrize("kind", [Colour, slow(enum.Enum("Kind", "RED BLUE"))])
 @pytest.mark.parametrize("pool", [None, "serial", slow("threads"), slow("processes")])
 def test_lambdas_have_labels_and_reach_every_kind_of_worker_and_objects_their_classes(tmp_path, pool, kind):
     axes = {"law": {"square": lambda x: x * x, "cube": lambda x: x**3}}

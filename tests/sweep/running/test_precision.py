@@ -145,6 +145,7 @@ def quasars():
     return replace(whole, axes={**whole.axes, "v_max": (14.0,)})
 
 
+@pytest.mark.slow
 def test_quasars_at_a_tenth(tmp_path, sweep_here):
     built_in, store = quasars(), tmp_path / "q.zarr"
     ds = stopped(built_in, store, 0.1)

@@ -183,7 +183,8 @@ def test_an_absurd_link_is_printed_but_not_written_unless_it_is_accepted_also_in
     assert "is mu_alpha" in linksweep.run(study, tmp_path / "s.zarr", pool="serial").attrs["warnings"]
 
 
-@pytest.mark.parametrize("size", [slow(2.5), 10.0])
+@pytest.mark.slow
+@pytest.mark.parametrize("size", [2.5, 10.0])
 def test_a_real_misfit_has_no_invented_cause_and_sources_that_alone_carry_it_are_named(tmp_path, size):
     satellite, reference = sky(8, 6)
     rng = np.random.default_rng(1)
