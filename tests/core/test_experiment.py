@@ -148,7 +148,7 @@ def test_no_bit_depends_on_who_shares_the_draw(changes, n_sim, seed):
     for names, size in changes:
         needed = {"omega_slope"} & {name.removesuffix("_size") for name in names}  # a size needs its direction
         sky = {"n_obj": size} if size not in NESTED else {"catalogue": "quasars", "n_obj": None, "v_max": size}
-        drawn.append(point(**sky | {name: OTHER[name] for name in names | needed}))
+        drawn.append(point(**{"mean_pm": 50.0} | sky | {name: OTHER[name] for name in names | needed}))
     order = np.random.default_rng(seed).permutation(len(drawn)) if seed else range(len(drawn))
     together = link.samples([drawn[k] for k in order], n_sim, *generators())
     for place, k in enumerate(order):

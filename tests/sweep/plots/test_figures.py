@@ -1,5 +1,7 @@
 """Pictures of small real stores: which suits, what stands on their axes, and what is refused."""
 
+import json
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -262,6 +264,13 @@ def test_a_series_at_many_points_is_a_median_with_bands(tmp_path):
         last = outer[np.isclose(outer[:, 0], 3.0), 1]
         assert np.allclose([last.min(), last.max()], np.nanquantile(ds["left"].values[:, -1], [0.05, 0.95]), rtol=1e-12)
         assert texts(axes.figure.legends[0])[-1] == "median of 40 points"
+    names = [f"p{k}" for k in range(13)]
+    many = xr.Dataset({name: ("point", np.arange(3.0)) for name in ("y", "status", *names)}, attrs=ds.attrs)
+    many.attrs["point_table"] = json.dumps({"parameters": names})
+    for kind, most in (("points", 12), ("pairs", 8)):
+        assert linksweep.plot(many.set_coords(names), kind, over=names[:most])
+        with pytest.raises(linksweep.SweepError, match=f"{most + 1} parameters are too many for one picture of {most}"):
+            linksweep.plot(many.set_coords(names), kind, over=names[: most + 1])
 
 
 def test_points_on_which_an_axis_has_no_effect_are_dotted_lines(tmp_path):

@@ -189,7 +189,10 @@ def test_accuracy_curves_are_those_of_the_missions():
     relative = (dataset["sigma_pm_error"] / dataset["sigma_pm"]).sel(model="amex")
     assert 0.0 < relative.min() < 0.1  # docs/calibration.md: some percent where the numbers are
     assert np.isnan(dataset["sigma_pm_error"].sel(model="gaia-2001")).all()
-    left, right = sky.accuracy_figure(dataset).axes
+    left, right = panels = sky.accuracy_figure(dataset).axes
+    for axes, name in zip(panels, ("sigma_pm", "sigma_pos"), strict=True):
+        [curve] = dataset[name].sel(model=["amex"]).values
+        assert_shown(axes, [*dataset[name].values, (relative * curve)[np.isfinite(curve)]])
     assert (left.get_ylabel(), right.get_ylabel()) == (r"$\sigma_\mu$ [mas/yr]", r"$\sigma_\mathrm{pos}$ [mas]")
     assert left.get_yscale() == "log"
     assert [text.get_text() for text in left.figure.legends[0].get_texts()] == ["model = amex", "model = gaia-2001"]

@@ -46,17 +46,20 @@ def test_equal_steps_are_linear_however_far_they_go_and_equal_ratios_logarithmic
 
 
 @settings(max_examples=examples(25), deadline=None)
-@example([True, False] * 30)
-@given(st.lists(st.booleans(), min_size=3, max_size=60).filter(any))
-def test_every_value_is_seen_whatever_is_missing_beside_it(done):
-    dataset, seen = results(np.arange(float(len(done)))), set()
-    dataset = dataset.assign(y=dataset.y.where(done), status=("x", np.array(done, dtype=int)))
+@example([1, 0] * 30)
+@example([1] * 30 + [4] * 30)
+@given(st.lists(st.sampled_from([0, 1, 4]), min_size=3, max_size=60).filter(any))
+def test_every_value_is_seen_whatever_is_missing_beside_it_and_what_is_still_running_has_a_hollow_marker(status):
+    dataset, seen, marks = results(np.arange(float(len(status)))), set(), {True: [], False: []}
+    dataset = dataset.assign(y=dataset.y.where(np.array(status) > 0), status=("x", status))
     [axes] = linksweep.plot(dataset, "lines").axes
     for line in axes.lines:
         x, there = line.get_xdata(), np.isfinite(line.get_ydata())
-        ends = there if line.get_marker() not in ("None", "_", "|") else np.convolve(there, [1, 0, 1], "same") > 0
-        seen |= {*x[there & ends].tolist()}
-    assert seen == {*np.flatnonzero(done).tolist()}
+        if is_marked := line.get_marker() not in ("None", "_", "|"):
+            marks[line.get_color() == "white"] += x.tolist()
+        seen |= {*x[there & (is_marked or np.convolve(there, [1, 0, 1], "same") > 0)].tolist()}
+    running = np.flatnonzero(np.array(status) == 4).tolist()
+    assert (seen, marks[True], {*running} - {*marks[False]}) == ({*np.flatnonzero(status).tolist()}, running, set())
 
 
 @pytest.mark.parametrize(("x", "scale"), OTHERS)
@@ -146,20 +149,10 @@ def test_only_markers_are_moved_aside_and_the_figure_says_so(factors):
         assert np.allclose(bars.get_transform().transform(at) - axes.transData.transform(at), shift[0])
     joined = [line for line in axes.lines if line.get_linestyle() == "-" and len(line.get_xdata()) == 5]
     assert np.allclose([pixels(line) for line in joined], true)
-    assert "markers moved sideways, lines not" in [text.get_text() for text in figure.legends[0].get_texts()]
-
-
-@pytest.mark.parametrize("name", ["error-surface", slow("quasars")])
-def test_nothing_is_drawn_between_the_points_of_a_prediction(dataset_of, name):
-    dataset = dataset_of(name)
-    figure = linksweep.plot(dataset, "lines")
-    wanted = dataset["sigma_spin_rms_predicted"].values
-    wanted = [factor * row for row in wanted.reshape(-1, wanted.shape[-1]) for factor in (1.0, 1e3)]
-    lines = [line for axes in figure.axes for line in axes.lines if len(line.get_ydata()) == len(wanted[0])]
-    predicted = [line for line in lines if any(np.allclose(row, line.get_ydata()) for row in wanted)]
-    assert len(predicted) >= 2
+    predicted = [line for line in axes.lines if any(np.array_equal(line.get_ydata(), 1.1 * one) for one in y)]
     assert {(line.get_linestyle(), line.get_marker()) for line in predicted} == {("None", "_")}
-    assert not figure.findobj(PolyCollection)  # no band goes from point to point
+    assert not figure.findobj(PolyCollection)  # nothing is drawn between the points of a prediction
+    assert "markers moved sideways, lines not" in [text.get_text() for text in figure.legends[0].get_texts()]
 
 
 @pytest.mark.parametrize("over", [slow("load"), "strong"])
@@ -233,15 +226,6 @@ def test_a_caption_has_the_signs_that_are_drawn_and_symbols_as_they_are(known):
     assert (text[:26], "y against x." in text) == ("5 $_a to 10 $; cut = 2.5. ", True)
     ds["z"] = ds["y"].copy(data=np.full(3, 7.0))
     assert "z: It is 7 at 3 points" in style.caption_and_description(linksweep.plot(ds, variables=["y", "z"]), ds)
-
-
-def test_labels_that_are_no_names_say_of_which_axis_they_are(tmp_path):
-    def limited(x: float, cut: float | None = None):
-        return x if cut is None else min(x, cut)
-
-    axes = {"x": [1.0, 2.0, 3.0], "cut": [None, 1.0, 2.5]}
-    [axes] = linksweep.plot(linksweep.run(limited, tmp_path / "s.zarr", axes=axes, pool="serial")).axes
-    assert {"no cut", "cut = 1.0", "cut = 2.5"} <= set(axes.get_legend_handles_labels()[1])
 
 
 def drawn(dataset, *arguments, width=WIDTH):

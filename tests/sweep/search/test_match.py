@@ -97,6 +97,7 @@ def test_the_search_from_files_to_files_and_to_the_catalogue_of_a_study(folder):
     where = ("--where", "stars: vt_mag > 10")  # without the third, which matches nothing
     result = run(*WITH_SUPPLEMENT, *where, "-o", "out.ecsv", "--table", "out.dat", "--figure", "out.png")
     assert result.exit_code == 0, result.output
+    assert all(words in result.output for words in ("certain", " 120 ± 28 ", " 130 ± 28 ", " 12.5 ± 0.7"))
     table = read_matches(folder / "out.ecsv")
     rows = [  # in order of the star's ra at the epoch
         ("certain", "none", "wide", "wide", 3, "stars", 4, 65866),

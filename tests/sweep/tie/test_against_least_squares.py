@@ -13,6 +13,7 @@ import linksweep
 from linksweep.core.frames import MAS
 from linksweep.core.tie.astrometry import PAIRS, by_errors, joined, propagated
 from linksweep.core.unknowns import Objects, parse_unknowns
+from linksweep.sweep.result import Result
 from tests.core.tie.made import POSITION, gaia, noise, only, seen_by_satellite, stars
 from tests.tiers import few, slow
 
@@ -221,6 +222,7 @@ def test_what_a_clip_drops_has_no_part_in_the_rest(tmp_path, seed):
     many = gaia(tmp_path / "many.fits", stars(310))
     most = linksweep.tie(many, "zero-motion", "spin", clip="discrepancy:305", accept_misfit=True)
     assert (int(most.step_chosen), int(most.n_sources)) == (305, 5)  # more than the steps that are always computed
+    assert "\n* 305 " in Result(most).tables()[-1].text()
 
 
 @pytest.mark.parametrize("clip", ["rayleigh", *map(slow, ("none", "median:2", "huber:1.5", "discrepancy"))])

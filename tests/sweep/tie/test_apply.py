@@ -232,6 +232,11 @@ def test_a_table_is_read_as_the_link_read_it_or_as_is_said(tmp_path, said):
     expected = written(linksweep.apply(usual, of_satellite))
     if said == {"units": ARCSEC}:  # another table, which says no units
         assert "is its unit right" in " ".join(linksweep.apply(link, of_satellite).meta["comments"])
+        stated = Table.read(of_satellite)
+        for name in ARCSEC:
+            stated[name].unit = "mas/yr"
+        for name in ARCSEC:
+            np.testing.assert_array_equal(linksweep.apply(link, stated)[name], linksweep.apply(usual, stated)[name])
     for one, table, report in ((link, form, {}), (link, Table.read(form), {}), (usual, form, said)):
         moved = linksweep.apply(one, table, **report)
         assert moved.colnames == Table.read(form).colnames

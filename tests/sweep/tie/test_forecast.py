@@ -166,7 +166,7 @@ def in_a_study(folder, satellite, reference, **fixed):
 
 
 @pytest.mark.parametrize("jitter", [slow(""), slow("position=0.2:0.02")])
-def test_new_positions_of_quasars_are_mean_ones_that_hold_at_any_epoch(tmp_path, jitter):
+def test_new_positions_of_quasars_are_mean_ones_that_hold_at_any_epoch(tmp_path, folder, jitter):
     quasars = replace(stars(12, 5, pm=0.0, parallax=0.0), radial_velocity=np.zeros(12))
     ours = replace(quasars, values=seen(quasars, quasars))
     tables, plan = (gaia(tmp_path / "own.ecsv", ours), tmp_path / "0.ecsv"), {"add": [2030], "error": ERROR}
@@ -198,6 +198,14 @@ def test_new_positions_of_quasars_are_mean_ones_that_hold_at_any_epoch(tmp_path,
         rest = gaia(tmp_path / "rest.ecsv", only(quasars, ~POSITION, errors=np.zeros((5, 12))))
         both = (tie(tables[0], one, "spin,parallax", zero_errors="exact") for one in (rest, "zero-motion"))
         np.testing.assert_array_equal(*([link.estimate, link.error] for link in both))
+        both = folder / "dr3.fits", gaia(tmp_path / "few.fits", resting(2008.0).taken(np.arange(6)))
+        study = in_a_study(tmp_path, *both, candidates="all", n_new=12, new_epoch=2036.0, new_error=ERROR)
+        plan = forecast(*both, "orientation,spin", add=[2036.0], error=ERROR, all_sources=True)
+        np.testing.assert_allclose(study, plan.error[1], rtol=1e-6)
+        rows = gaia(tmp_path / "rows.ecsv", only(resting(2016.0), POSITION))  # mean: of the reference alone
+        link = tie(both[0], rows, "orientation,hip:orientation", missions={"hip": rows}, positions="mean")
+        kinds = {*zip(link.row_table.values.tolist(), link.row_kind.values.tolist(), strict=True)}
+        assert kinds == {("reference", "position"), ("hip", "single epoch")}
 
 
 def test_new_positions_are_of_the_kind_that_the_reference_is_marked_to_be(folder):

@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
-from astropy.table import Column
+from astropy.table import Column, vstack
 from astropy.time import Time
 from click.testing import CliRunner
 
@@ -31,8 +31,10 @@ VARIANCES = {n: lambda table, n=n: table[n] ** 2 for n in POSITIONS}
 DECLARED = {n: lambda table, n=n: Column(table[n].data, unit="deg") for n in POSITIONS}
 
 
-def sky(n, seed, pm=60.0, scale=1.0):
-    """Return a satellite's table and VLBI rows: three or four positions of a star, and some motions and parallaxes."""
+def sky(n, seed, pm=60.0, scale=1.0, silent=False):
+    """Return a satellite's table and VLBI rows: three or four positions of a star, and some motions and parallaxes;
+    if ``silent`` with twice as many stars of which the rows say nothing.
+    """
     rng = np.random.default_rng(seed)
     truth, names = stars(n, seed + 1, pm, parallax=15.0), 10**17 + 7 * np.arange(n)
     ours = replace(truth, values=seen_by_satellite(truth, EPSILON, OMEGA))
@@ -51,7 +53,15 @@ def sky(n, seed, pm=60.0, scale=1.0):
     values = np.where(is_position | is_motion, values, np.nan)  # every row says where the star is
     rows = gaia_table(replace(there, values=values, errors=errors, epoch=epoch), source_id=names[source])
     rows.keep_columns(["source_id", "ref_epoch", *NAMES, *ERRORS])
-    return gaia_table(replace(ours, values=ours.values + step), source_id=names), rows
+    tables = [gaia_table(replace(ours, values=ours.values + step), source_id=names), rows]
+    for k in range(2 * silent):
+        more = [table[np.isin(table["source_id"], names)] for table in tables]
+        for name in (*NAMES, *ERRORS):
+            more[1][name] = np.nan
+        for table in more:
+            table["source_id"] += 10**6 * (k + 1)
+        tables = [vstack(pair) for pair in zip(tables, more, strict=True)]
+    return tables
 
 
 def scaled(names, factor):
@@ -91,7 +101,7 @@ MISTAKES = {
     "one row late there": ("reference", of_one(["ref_epoch"], lambda t: t + 7), r"without \d+ it is"),
     "errors in uas": ("satellite", scaled(ERRORS, 1e3), "too large, uas taken for mas"),
     "one row twice": ("reference", twice_with_other_digits, "(nearly the|the same) numbers (of|as) another row"),
-    "B1950": ("reference", partial(in_frame, frame="fk4"), "frame and units of the positions right"),
+    "arcsec, most rows silent": ("reference", scaled(POSITIONS, 1e-3), "of pos.* small, arcsec", 60.0, 1.0, True),
     "galactic": ("reference", partial(in_frame, frame="galactic"), "frame and units of the positions right"),
     "mu_alpha": ("satellite", WITHOUT_COS, "pmra of the satellite is mu_alpha"),
     "mu_alpha there": ("reference", WITHOUT_COS, "pmra of the reference is mu_alpha"),
@@ -109,7 +119,7 @@ MISTAKES = {
     "arcsec per 100 yr": ("satellite", scaled([*MOTIONS, *ERRORS[3:]], 0.1), "arcsec per century taken"),
     "velocities": ("satellite", VELOCITIES, "proper motions of the satellite in km/s, taken for mas/yr"),
     "position errors in deg": ("satellite", scaled(POSITIONS, 1.0 / 3.6e6), "deg taken for mas"),
-    "position errors in arcsec there": ("reference", scaled(POSITIONS, 1e-3), "errors of pos.* small, arcsec taken"),
+    "B1950": ("reference", partial(in_frame, frame="fk4"), "frame and units of the positions right"),
     "position errors in rad there": ("reference", scaled(POSITIONS, MAS), "no (known m|instrument)"),
     "errors of ra in seconds": ("reference", scaled(["ra_error"], 1.0 / 1.5e4), "errors of ra.*(seconds of t|no inst)"),
     "errors in mas declared as deg": ("reference", DECLARED, "mas taken for deg"),
@@ -144,7 +154,7 @@ def solved(folder, *tables, unknowns="orientation,spin"):
         return [str(error)]
 
 
-@pytest.mark.parametrize("mistake", few(6, MISTAKES))
+@pytest.mark.parametrize("mistake", few(5, MISTAKES))
 @pytest.mark.parametrize(("n", "seed"), [(9, 2), *(slow(n, n + seed) for n in (5, 60) for seed in (2, 3))])
 def test_a_mistake_is_named(tmp_path, mistake, n, seed):
     result = solved(tmp_path, *with_mistake(n, seed, mistake))

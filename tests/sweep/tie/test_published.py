@@ -5,13 +5,11 @@ import re
 
 import numpy as np
 import pytest
-import xarray as xr
-from click.testing import CliRunner
 from scipy.stats import chi2, f
 
 import linksweep
 from tests.conftest import run_sweep
-from tests.core.tie.made import Objects, main, parse_unknowns
+from tests.core.tie.made import Objects, parse_unknowns
 from tests.sweep.analysis.made import report_of, report_page
 from tests.sweep.tie.test_against_least_squares import drawn_tables
 
@@ -36,21 +34,6 @@ def test_timing_on_de200_against_vlbi():
     assert int(link.n_sources) == 9
     np.testing.assert_allclose(link.estimate, [-0.90, -13.04, -12.18], atol=0.035)
     np.testing.assert_allclose(link.error, [0.99, 1.21, 0.48], atol=0.015)
-
-
-def test_a_link_is_written_in_one_step(tmp_path, monkeypatch):
-    command, write = ["tie", "psrpi-de200", "timing-de200", "-o", str(tmp_path / "link.zarr")], xr.Dataset.to_zarr
-
-    def interrupted(dataset, *arguments, **options):
-        write(dataset[["estimate"]], *arguments, **options)
-        raise OSError("no space left on device")
-
-    monkeypatch.setattr(xr.Dataset, "to_zarr", interrupted)
-    assert CliRunner().invoke(main, command).exit_code != 0
-    monkeypatch.undo()
-    assert (list(tmp_path.iterdir()), CliRunner().invoke(main, command).exit_code) == ([], 0)
-    assert linksweep.open(tmp_path / "link.zarr").estimate.shape == (6,)
-    assert CliRunner().invoke(main, command).exit_code == 2
 
 
 def field(amplitudes, ra, dec):
