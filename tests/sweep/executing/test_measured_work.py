@@ -116,9 +116,9 @@ def test_an_error_inside_dask_is_no_points(study, coin_store, tmp_path, dask, fa
 
 
 @pytest.mark.parametrize("dies", [False, slow(True)])
-def test_one_that_stays_stops_the_run_and_blames_no_point(study, tmp_path, dask, failing, dies):
-    sentences = Sentences()
-    failing(10**6, KilledWorker("task", None, 0) if dies else None)
+def test_one_that_stays_stops_the_run_and_blames_no_point(coins, tmp_path, dask, failing, dies):
+    sentences, study = Sentences(), live_study(coins | {"axes": {"coins": [5]}, "sampling": {"n_sim": 10}})  # one task
+    failing(10**6 if dies else 6, KilledWorker("task", None, 0) if dies else None)
     words = r"failed 6 times outside of the experiment, last with UnboundLocal|die whatever they do; no point is blamed"
     with pytest.raises(SweepError, match=words):
         run_study(study, tmp_path / "s.zarr", dask, sentences)

@@ -157,11 +157,12 @@ def test_all_mistakes_of_a_declaration_are_told_at_once():
 
 
 def test_a_declared_function_is_called_as_before_and_that_of_other_code_stays_as_it_is(tmp_path):
-    @experiment(outputs=["y"])
+    @experiment(outputs=[Output("y", errors=("s",)), "s"])
     def double(x: float = 1.0):
-        return {"y": 2.0 * x}
+        return {"y": 2.0 * x, "s": 0.1}
 
-    assert double(3.0) == {"y": 6.0}
+    assert double(3.0) == {"y": 6.0, "s": 0.1}
+    assert run(double, tmp_path / "d.zarr", axes={"x": [1.0]}, pool="serial").y.errors == "s"
     declared = experiment(outputs=[Output("window", unit="m")])(kaiser)
     assert not hasattr(kaiser, "__linksweep__")
     assert np.array_equal(declared(5, 2.0), kaiser(5, 2.0))

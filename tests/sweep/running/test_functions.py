@@ -46,23 +46,6 @@ def run(function, store, **options):
     return linksweep.run(function, store=store, pool="serial", **options)
 
 
-def test_integers_beside_points_that_failed_are_missing_there_and_exact_in_the_file(tmp_path):
-    def large(k: int):
-        n = k // (k != 1)
-        return {"y": 2**53 + 1 + 0 * n, "n": n, "t": np.datetime64(n, "D")}  # y is the least that a float rounds
-
-    ds = run(large, tmp_path / "s.zarr", axes={"k": range(3)})
-    np.testing.assert_array_equal(ds.n, [0.0, np.nan, 2.0])
-    plain = xr.open_zarr(tmp_path / "s.zarr").load()
-    for name in ("y", "n", "t"):
-        assert plain[name].isnull().values.tolist() == [False, True, False]
-        np.testing.assert_array_equal(plain[name], ds[name].astype(plain[name].dtype))
-    for whole in (ds, linksweep.open(tmp_path / "s.zarr")):
-        assert whole.y.values.tolist()[::2] == [2**53 + 1] * 2
-    exact = xr.open_zarr(tmp_path / "s.zarr", mask_and_scale=False)
-    assert (exact.y.dtype, exact.y.values.tolist()) == (np.int64, [2**53 + 1, exact.y.attrs["_FillValue"], 2**53 + 1])
-
-
 def test_statistics_extend_to_the_bits_of_one_run(tmp_path):
     wait = Output("wait", statistics=["mean", "std", "q95", "median", "max", "min"])
 
@@ -91,16 +74,20 @@ def test_a_run_returns_what_its_store_has_and_no_value_is_taken_for_a_missing_on
     store = tmp_path_factory.mktemp("same") / "s.zarr"
     made = run(row, store, axes={"k": range(len(table)), "name": ["é"]}, max_failures="100%").squeeze("name")
     whole, plain = linksweep.open(store).squeeze("name"), xr.open_zarr(store).load().squeeze("name")
+    exact = xr.open_zarr(store, mask_and_scale=False).squeeze("name").whole
+    assert exact.values.tolist() == [row["whole"] if row else exact.attrs["_FillValue"] for row in table]
     xr.testing.assert_identical(made, whole)
     assert {n: v.dtype for n, v in made.variables.items()} == {n: v.dtype for n, v in whole.variables.items()}
     for k, wanted in enumerate(table):
         for name, value in (wanted or {}).items():
             ours = (..., slice(len(value))) if name == "ragged" else ...
-            exact = np.datetime64(value, "ns").item() if name == "time" else value
-            assert whole[name][k].values[ours].tolist() == exact
+            result = np.datetime64(value, "ns").item() if name == "time" else value
+            assert whole[name][k].values[ours].tolist() == result
             assert "text" in name or plain[name][k].notnull().values[ours].all()
         if wanted:
             assert whole.ragged[k, len(wanted["ragged"]) :].isnull().all()
+        else:
+            assert all(plain[name][k].isnull().all() for name in ("whole", "wholes", "time", "truth", "number"))
 
 
 @pytest.mark.parametrize("sign", [1, -1])

@@ -114,8 +114,9 @@ def test_a_row_is_a_place_also_where_one_of_its_values_has_no_effect(table, tmp_
     places["a=0,b=nan"] = None  # as tables say it
     assert {at: point_in(dataset, study, parse_places([at]), "").parameters["b"] for at in places} == places
     assert parse_places(["s=a,b, net=D(u=1, v=2), x=1"]) == {"s": "a,b", "net": "D(u=1, v=2)", "x": "1"}
-    with pytest.raises(SweepError, match=r"b = 5 is not in the grid"):
-        point_in(dataset, study, parse_places(["a=0,b=5"]), "")
+    for at, said in (("a=0,b=5", "b = 5 is not in the grid"), ("a=0,a=1", "a is given twice, as 0 and 1")):
+        with pytest.raises(SweepError, match=said):
+            point_in(dataset, study, parse_places([at]), "")
 
 
 @pytest.mark.parametrize("name", ["script.py", slow("sweep"), slow("sweep.py")])

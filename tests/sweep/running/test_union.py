@@ -254,15 +254,6 @@ def test_points_that_are_computed_again_say_so_until_they_are_and_each_is_once(t
     assert sorted(calls) == [2.0, 3.0, 4.0]
 
 
-@pytest.mark.parametrize("y", [slow([7.0, 6.0]), [7.0, 8.0]])
-def test_zipped_axes_with_a_value_that_repeats_become_a_table(tmp_path, y):
-    (tmp_path / "m.py").write_text("def f(x: float, y: float):\n    return 10 * x + y\n")
-    study = {"experiment": str(tmp_path / "m.py") + ":f", "grid": {"zip": [["x", "y"]]}}
-    for axes in 2 * [{"x": [1.0, 2.0], "y": [5.0, 6.0]}, {"x": [1.0, 3.0], "y": y}]:
-        linksweep.run(study | {"axes": axes}, tmp_path / "s.zarr", pool="serial")
-    assert linksweep.open(tmp_path / "s.zarr").f.values.tolist() == [15.0, 26.0, 10.0 + y[0], 30.0 + y[1]]
-
-
 @pytest.mark.parametrize("order", [(1, 0, 3), *map(slow, ((2, 1, 0), (0, 1, 2), (3, 2, 1)))])
 def test_merged_tables_with_values_that_repeat_keep_each_point_and_merge_again(tmp_path, order):
     (tmp_path / "m.py").write_text("def f(x: int = 0, y: int = 2, d: int = 7):\n    return 100 * x + 10 * y + d\n")

@@ -129,15 +129,18 @@ def test_speed_is_that_from_one_delivery_to_the_next(tmp_path, monkeypatch, step
         def advance(self, works, result, taken):
             nonlocal clock
             speeds.append("")
-            clock = step * (2.9 if len(speeds) == 2 else len(speeds))  # the first look is just before a delivery
-            if len(speeds) > 1:
+            n = len(speeds)
+            clock = step * (2.9 if n == 2 else n + max(0, n - 3) * (n > 4))  # the first look is just before a delivery
+            if n > 1:
                 watched.look()
+                clock += 1.0
                 speeds[-1] = watched.speed
 
     (tmp_path / "f.py").write_text("def f(x: int):\n    return 1 // x\n")
     document = {"title": "f", "experiment": f"{tmp_path}/f.py:f", "axes": {"x": list(range(10))}}
     run(document, tmp_path / "s.zarr", OFTEN, progress=Looking())
-    lines = [f"{10 * n} % of the work, 0.2 points/s, about {50 - 5 * n} s left" for n in range(4, 10)]
+    lines = [f"{10 * n} % of the work, 0.1 points/s, about {99 - 10 * n} s left" for n in range(5, 10)]
+    lines = ["40 % of the work, 0.2 points/s, about 29 s left", *lines]
     assert speeds[:9] == ["", "", "", *(lines if step > 1.0 else [""] * 6)]
 
 

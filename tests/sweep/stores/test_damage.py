@@ -287,6 +287,8 @@ def test_the_commands(tmp_path, sweep):
     for x in ([1, 2], [4]):
         linksweep.run(model, store, axes={"x": x}, pool="serial")
     assert sweep("check", store)[:2] == (0, "every file is as it was written\n")
+    (store / "blocks" / "rows.9.0").touch()  # as from a run that was killed then
+    assert "is unfinished: its results are older" in sweep("check", store, code=0)[1]
     (store / "zarr.json").unlink()  # the copy of it is of the last study
     sweep("check", store, "--repair", code=0)
     assert linksweep.run(model, store, axes={"x": [1]}, pool="serial").attrs["complete"]
