@@ -228,7 +228,7 @@ def test_a_condition_that_means_nothing_is_refused(tmp_path, when):
 
 
 @pytest.mark.parametrize("kind", [Colour, slow(enum.Enum("Kind", "RED BLUE"))])
-@pytest.mark.parametrize("pool", [None, "serial", slow("threads"), slow("processes")])
+@pytest.mark.parametrize("pool", [None, *map(slow, ("serial", "threads", "processes"))])
 def test_lambdas_have_labels_and_reach_every_kind_of_worker_and_objects_their_classes(tmp_path, pool, kind):
     axes = {"law": {"square": lambda x: x * x, "cube": lambda x: x**3}}
     ds = linksweep.run(lambda law: law(2.0), tmp_path / "s.zarr", axes=axes, pool=pool)

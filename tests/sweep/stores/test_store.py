@@ -88,17 +88,6 @@ def test_another_meaning_is_refused_with_the_differences(path, coins):
         opening.run_study(newer, path, opening.SERIAL)
 
 
-def test_a_study_that_shrinks_leaves_the_store_as_it_is(path, coins):
-    first, before = run(coins, path), files_of(path)
-    shorter = run(coins | {"sampling": coins["sampling"] | {"n_sim": 10, "n_cat": 2}}, path)
-    xr.testing.assert_identical(shorter["share"], first["share"])
-    smaller = run(coins | {"axes": {"metal": ["tin"], "coins": [20, 5]}}, path)
-    xr.testing.assert_equal(smaller["share"], first["share"].sel(metal=["tin"], coins=[20, 5]))
-    assert files_of(path) == before
-    mixed = run(coins | {"sampling": coins["sampling"] | {"n_sim": 10, "n_cat": 21}}, path)
-    assert (mixed["n_sim_done"] == 21 * coins["sampling"]["n_sim"]).all()  # as many of each as either
-
-
 def turn(number, shape=(50, 40)):
     status = np.random.default_rng(number).integers(0, 2, shape, dtype=np.int8)
     values = {"value": np.where(status == 1, float(number), np.nan), "again": np.full(shape, float(number))}
