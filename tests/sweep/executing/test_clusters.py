@@ -126,7 +126,7 @@ def client(request):
         yield client
 
 
-def test_a_client_computes_the_same_bits_and_goes_on_to_work(client, tmp_path, monkeypatch):
+def test_a_client_computes_the_same_bits_and_goes_on_to_work(capfd, client, tmp_path, monkeypatch):
     scale = 3.0
 
     def noise(x: float, rng):
@@ -134,6 +134,7 @@ def test_a_client_computes_the_same_bits_and_goes_on_to_work(client, tmp_path, m
         if x == 0.0 and multiprocessing.parent_process():
             signal.raise_signal(signal.SIGINT)
             multiprocessing.Process(target=int).start()
+            os.system("echo from outside")
         return scale * x + rng.normal() + float(Decimal(1) / 7)
 
     sampling = {"n_sim": 30, "seed": 4}
@@ -146,6 +147,7 @@ def test_a_client_computes_the_same_bits_and_goes_on_to_work(client, tmp_path, m
         here = linksweep.run(noise, tmp_path / "here.zarr", axes=AXES, sampling=sampling, pool="serial")
         there = linksweep.run(noise, tmp_path / "there.zarr", axes=AXES, sampling=sampling, client=client)
     same(here, there)
+    assert "outside" not in capfd.readouterr().out
     with pytest.raises(linksweep.SweepError, match="stopped"):  # a run that is interrupted leaves no tasks with it
         linksweep.run(lambda x: time.sleep(0.02) / x, tmp_path / "s.zarr", axes=AXES, client=client, max_failures=1)
     wait_until(lambda: not any(client.processing().values()), "the end of its tasks")

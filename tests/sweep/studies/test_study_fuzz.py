@@ -23,7 +23,6 @@ catalogue = "quasars"
 """
 LARGE = {
     "an axis of 1000001 values by step": START.replace("[16.0]", "{ start = 14, stop = 16, step = 2e-6 }"),
-    "a table without end": f"{START}[points]\nfile = '/dev/zero'",
     "a file of 50 MB": START + "#" * 50_000_000,
     "an axis of 1e9 values by number": START.replace("[16.0]", "{ start = 14, stop = 16, num = 1000000000 }"),
     "brackets without end": f"{START}omega = {'[' * 400_000}",
