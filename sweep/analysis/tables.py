@@ -156,8 +156,8 @@ def _is_exact(dataset: xr.Dataset, name: str) -> bool:
     """Return whether a result is equal to all its published values, of which there are some."""
     if f"{name}_published" not in dataset:
         return False
-    ours, published = dataset[name].values, dataset[f"{name}_published"].values
-    known = quantity.is_known(published)
+    published = dataset[f"{name}_published"].transpose(*dataset[name].dims).values
+    ours, known = dataset[name].values, quantity.is_known(published)
     return bool(known.any() and np.array_equal(ours[known], published[known]))
 
 

@@ -8,8 +8,7 @@ import pytest
 from scipy.stats import binom, chi2, t
 
 import linksweep
-from linksweep.sweep.analysis.compare import compare
-from linksweep.sweep.analysis.laws import find, fit_levelling, fit_power_law, interpolate, parse_limit
+from linksweep.sweep.analysis.laws import fit_levelling, fit_power_law
 from linksweep.sweep.running.scaling import _dataset
 from tests.sweep import spread
 
@@ -35,13 +34,9 @@ def assert_covers(pulls, dof=np.inf):
 
 
 def copies_of(law, n_cat, n_sim):
-    slope = {"variable": "width", "over": "x"}
-    over = {"variable": "width", "of": {"x": 3.0}, "to": {"x": 2.0}}
-    words = {"text": "a law", "source": "the experiment", "published": "-0.5", "exact": True}
     study = {"title": "Copies", "experiment": f"{spread.__file__}:experiment", "fixed": {"law": law}}
     study |= {"axes": {"x": X, "copy": list(range(COPIES))}}
     study |= {"sampling": {"n_sim": n_sim, "n_cat": n_cat, "seed": 17, "common_random_numbers": True}}
-    study |= {"claim": [words | {"slope": slope}, words | {"published": "0.8164966", "ratio": over}]}
     with TemporaryDirectory() as folder:
         return linksweep.run(study, Path(folder) / "s.zarr", pool="serial").load()
 
@@ -73,29 +68,6 @@ def test_the_law_through_points_that_share_random_numbers(shared):
         for share in (0.05, 0.5):
             low, high = binom.ppf([FALSE_ALARM / 2.0, 1.0 - FALSE_ALARM / 2.0], COPIES, share)
             assert low <= np.sum(fits["p_value"].values < share) <= high
-
-
-def test_comparisons_with_claims(shared):
-    dataset, dof = shared
-    result = compare(dataset)
-    for quantity in ("slope of width over x", "width(x=3) / width(x=2)"):
-        assert_covers([c.difference / c.mc_error for c in result if c.quantity == quantity], dof)
-    assert sum(c.quantity.startswith("slope") for c in result) == COPIES
-
-
-def test_crossings_and_interpolations(shared):
-    dataset, dof = shared
-    if dataset.attrs["n_cat"] == 1:
-        pytest.skip("where one catalogue crosses depends on the catalogue")
-    threshold = float(true_width(dataset, 4.0))
-    result = find(dataset, parse_limit(f"width < {threshold!r} mas"), "x")
-    crossed = result["crossings"].values == 1
-    assert crossed.mean() > 0.8
-    if crossed.all():
-        assert_covers(((np.log(result["first"]) - np.log(4.0)) / (result["first_error"] / result["first"])), dof)
-    between = interpolate(dataset, "width", "x", 4.0)
-    relative = between["width_mc_error"] / between["width"]
-    assert_covers((np.log(between["width"]) - np.log(threshold)) / relative, dof)
 
 
 def test_the_diagonal_of_the_covariance_is_the_whole_error(shared):

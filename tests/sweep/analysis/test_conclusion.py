@@ -40,6 +40,7 @@ def concluding(dataset, *sentences, grid=None, **values):
 
 ANY = {"value": {"variable": "sigma_spin"}}
 FILLED = [("GAIA {{20}}: {gaia}, {gaia:error}.", GAIA, "GAIA {20}: 0.54 uas/yr, 0.5400 ± 0.0030 uas/yr.")]
+FILLED += [("{gaia:error} ± {gaia}", GAIA, "0.5400 ± 0.0030 uas/yr ± 0.54 uas/yr")]
 FILLED += [("{gaia:%} of AMEX", {"ratio": RATIO, "where": {"v_max": 20.0}}, "0.095 % of AMEX")]
 FILLED += [("{gaia}", ANY | {"choose": a}, said) for a, said in (("largest", "0.65 mas/yr"), ("least", "0.54 uas/yr"))]
 

@@ -167,10 +167,6 @@ def test_points_whose_errors_are_not_known_get_realisations_and_no_neighbours():
     goal = {"axes": {"x": [0.0, 0.6, 2.0]}, "sampling": {"n_sim": 200, "seed": 1}, "pool": "serial"}
     ds = linksweep.refine(high, "q.zarr", find="y_q99 > 3", within=0.001, max_realisations=2000, **goal)
     assert (rounds(ds)[0]["points"], ds["y_q99_mc_error"].sel(x=0.6).notnull()) == ([], True)
-    linksweep.refine(high, "l.zarr", find="y_q99 > 3", within=0.001, max_realisations=1000, **goal)
-    linksweep.run(high, "q.zarr", **goal)
-    shown = [linksweep.open("q.zarr"), merge(["l.zarr", "q.zarr"], "lq.zarr"), merge(["q.zarr", "l.zarr"], "ql.zarr")]
-    assert all(one.n_sim_done.equals(ds.n_sim_done) for one in shown)  # nobody takes realisations from it
     more = goal | {"sampling": {"n_sim": 3000, "seed": 1}}  # than that point has got
     assert (linksweep.run(high, "q.zarr", **more).n_sim_done == 3000).all()
     with pytest.raises(SweepError, match="y_max has no Monte-Carlo error"):

@@ -11,7 +11,7 @@ from hypothesis import given, settings, strategies as st
 
 import linksweep
 from linksweep.sweep.analysis.quantity import select
-from tests.sweep.analysis.made import DONE, RUNNING, N, Result, answers, grid, shown, text_of
+from tests.sweep.analysis.made import DONE, EXCLUDED, RUNNING, N, Result, answers, compare, grid, shown, text_of
 from tests.tiers import examples
 
 LARGE = 2**60
@@ -50,6 +50,37 @@ def test_integers_are_exact_beside_gaps_in_tables_and_in_the_dataset(tmp_path, s
     linksweep.run(large, tmp_path / "s.zarr", axes={"a": [2**54, 2**54 + 1]}, pool="serial")
     (row,) = json.loads(shown("show", tmp_path / "s.zarr", "--at", f"a={2**54 + 1}", "--json"))["rows"]
     assert row["small"] == 2**54 + 1
+
+
+def everything(dataset):
+    """All that is said and computed of results."""
+    results = [linksweep.find(dataset, one, "n") for one in ("width > 1.5", "shift > 0.2")]
+    results += [
+        linksweep.fit_power_law(dataset, "width", "n"),
+        linksweep.ratio(dataset, "shift", "model", "old", "new"),
+    ]
+    numbers = [repr(one.transpose(*sorted(one.dims)).to_dict()) for one in results]
+    return [one.sentences for one in answers(dataset)], numbers, text_of(dataset), sorted(map(repr, compare(dataset)))
+
+
+@given(st.integers(0, 2**32 - 1), st.sampled_from([[DONE, EXCLUDED], [DONE]]))
+@settings(max_examples=examples(20, 2))
+def test_nothing_depends_on_the_order_of_dimensions_nor_an_answer_on_what_is_excluded(seed, codes):
+    rng = np.random.default_rng(seed)
+    status, axes = rng.choice(codes, (2, 5)).astype(np.int8), ("model", "n")
+    status[:, :2] = DONE  # else a line may have too few points for a law
+    whole = grid(1.0 + rng.random((2, 5)), 0.1, status=status, published={(1, 2): "1.5", (0, 4): "1.2"})
+    for name, values in ("shift", rng.standard_normal((2, 5, 3))), ("shift_mc_error", rng.random((2, 5, 3))):
+        whole[name] = (*axes, "component"), values
+    whole["condition_number"] = axes, 10.0 ** rng.uniform(0.0, 6.0, (2, 5))
+    whole = whole.where(whole["status"] == DONE).assign(status=(axes, status)).assign_coords(component=["x", "y", "z"])
+    whole = whole.assign_attrs(points=np.sum(status == DONE), complete=0)
+    turned = {name: one.transpose(*one.dims[::-1]) for name, one in whole.items() if name != "status"}
+    assert everything(whole.assign(turned)) == everything(whole)
+    assert "its run did not end" in text_of(whole)
+    wide = whole.reindex(n=[*N, 999.0])
+    wide["status"] = wide["status"].fillna(EXCLUDED).astype(np.int8)
+    assert everything(wide)[0] == everything(whole)[0]
 
 
 @given(st.sampled_from(STARTS), st.sampled_from(STEPS), st.sampled_from([0.0, 0.5]), st.integers(0, 99))

@@ -145,16 +145,6 @@ def test_all_problems_are_reported_in_one_message(here):
     check_refused(here, ("run", "study.toml", *options), "3 problems", "--set 'seed'", "'x'", "line 8")
 
 
-def test_a_package_that_is_not_installed(here):
-    part = b"from ..other import unit\ndef f(x: float): return x\n"
-    files = {"__init__.py": b"", "inner/__init__.py": b"", "inner/part.py": part, "other.py": b"unit = 1.0\n"}
-    write(here / "own", files)
-    command = [sys.executable, "-P", "-m", "linksweep", "run", "own/inner/part.py:f", "--axis", "x=1"]  # as the command
-    done = subprocess.run(command, cwd=here, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout) == (2, "")
-    assert "a function in a file is FILE.py:NAME; one of a package needs its folder in PYTHONPATH" in done.stderr
-
-
 @pytest.fixture(scope="module")
 def decayed(tmp_path_factory):
     folder = tmp_path_factory.mktemp("decay")
@@ -167,12 +157,17 @@ def decayed(tmp_path_factory):
 FILES = {"decay.py": DECAY, "decay.zarr/zarr.json": b"{}", "taken.toml": b"mine"}
 FILES |= {"mine.py": b"def f(x: float):\n    return x\n", "c.toml": b'class = "distributed.LocalCluster"\nscale = 1\n'}
 FILES["french.toml"] = GOOD.encode().replace(b"A good", b"\xc9tude")
+FILES |= {"own/__init__.py": b"", "own/inner/__init__.py": b"", "own/inner/part.py": b"from ..other import unit\n"}
 FILES["link.zarr/zarr.json"] = json.dumps(ROOT | {"attributes": {"result": "tie"}}).encode()
 SOBOL = "plan quasars --design sobol:8"
 ANOTHER = "STORE: , name it holds results of a different study, name it give another store with -o, name it experiment:"
 COMMANDS = [
     ("run french.toml", "french.toml: not UTF-8 text: byte 0xc9 in line 1"),
     ("run mine.py --axis x=1", "mine.py: is Python, not a study, name it as mine.py:NAME"),
+    (
+        "run own/inner/part.py:f --axis x=1",
+        "in a file is FILE.py:NAME; one of a package needs its folder in PYTHONPATH",
+    ),
     ("run quasar", "no study 'quasar': neither a file nor a built-in study; did you mean 'quasars'?"),
     *((f"plan {'a' * 300}", "no study 'aaa"), ("plan /dev/zero", "/dev/zero: is larger than 1,000,000 bytes")),
     ("run /dev/null", "/dev/null: title: is required"),

@@ -85,11 +85,8 @@ def test_a_run_whose_streams_are_closed_or_full_is_kept(link_study, tmp_path):
         assert (linksweep.open(tmp_path / name).attrs["complete"], shell("", "check", tmp_path / name)[0]) == (1, 0)
 
 
-def test_a_wrong_option_keeps_its_exit_code_without_standard_error():
+def test_tiles_are_seen_json_is_ascii_and_a_wrong_option_needs_no_standard_error(store, monkeypatch):
     assert shell("2>/dev/full", "nonsense") == shell("2>&-", "nonsense") == (2, "", "")
-
-
-def test_tiles_are_seen_and_json_is_json_in_ascii(store, monkeypatch):
     monkeypatch.setenv("PYTHONIOENCODING", "ascii")
     assert json.loads(shell("", "params", f"{store.parent}/f.py:f", "--schema")[1])
     assert "##xx##" in shell("", "watch", store)[1].split()

@@ -95,6 +95,9 @@ def test_a_store_has_the_name_of_its_study_unless_a_path_exists(here):
     (here / "quasars").mkdir()
     assert str(store_named("quasars")) == "quasars"
     assert short_name(store_named("results/quasars.zarr")) == "results/quasars.zarr"
+    (here / "f.py").write_text("import os\nos.chdir('/')\ndef f(x: float):\n    return x\n")
+    linksweep.run("f.py:f", "mine.zarr", axes={"x": [1.0]}, pool="serial")
+    assert (here / "mine.zarr").is_dir()
 
 
 def line(command, store):

@@ -277,6 +277,7 @@ def test_two_tables_in_one_file_or_two_columns_of_one_name(tmp_path):
     named = body.replace("<TABLE", '<TABLE name="second"', 1)
     with pytest.raises(SweepError, match=r"has 2 tables in it: table \(1\), second \(2\); leave one"):
         read_table(written(tmp_path, "t.vot", text.replace(body, body + named)))
+    assert read_table(written(tmp_path, "t.vot", text.replace(body, f"<TABLE/>{body}")))["rb"].tolist() == [2.0]
     first, second = (fits.BinTableHDU(Table({"ra": [x]}), name=name) for x, name in ((1.0, "A"), (2.0, "B")))
     fits.HDUList([fits.PrimaryHDU(), first, second]).writeto(tmp_path / "two.fits")
     with pytest.raises(SweepError, match=r"has 2 tables in it: A \(1\), B \(2\); leave one"):
