@@ -111,6 +111,9 @@ def test_days_are_told_apart_wherever_they_are_shown(tmp_path):
     assert "at 2460001 is nearest" in shown("find", store, "--over", "jd", "--where", "flux > 9")
     assert "2460000.50" in shown("fit", store, "--over", "jd", "--variable", "flux").split()
     assert "(jd=2460000.8, w=2)" in " ".join(answers(linksweep.open(store))[0].sentences)
+    curve = {"experiment": lambda rng, x: xr.DataArray(x * rng.random(3), {"jd": jd[:3]}, name="y")}
+    linksweep.run(curve | {"axes": {"x": [1.0]}, "sampling": {"n_sim": 9}}, tmp_path / "c", pool="serial")
+    assert "x y_mean y_std 1" in " ".join(shown("show", tmp_path / "c", "--at", f"jd={jd[1]}").split())
 
 
 def test_a_prediction_with_its_bias_and_a_published_number_are_shown_with_the_difference():

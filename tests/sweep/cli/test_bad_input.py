@@ -78,8 +78,6 @@ def after(section):
 CSV, ZIP = "published/table.csv", '[grid]\nzip = [["v_max", "n_obj"]]'
 PUBLISHED = f'[published]\nfile = "{CSV}"\nsource = "A paper"'
 STUDIES = {
-    "unknown key": (f"colour = 3\n{GOOD}", "colour (line 1): unknown key; known are axes, claim, conclusion,"),
-    "unknown parameter": (fixed("altitude = 3"), "fixed.altitude (line 8): unknown parameter 'altitude'"),
     "axes as tables": (after("[[axes.zz]]\na = 1"), "axes.zz (line 14): unknown parameter 'zz'"),
     "condition that nothing meets": (after("[when.v_max]\nmodel = []"), "when.v_max.model (line 15): list should have"),
     "string for number": (fixed('error_scale = "two"'), "fixed.error_scale (line 8): error_scale = 'two': must be"),

@@ -296,6 +296,7 @@ def test_the_commands(tmp_path, sweep):
     [name] = parts_of(store)
     (store / name).write_bytes(flip((store / name).read_bytes()))
     assert set(json.loads(sweep("check", store, "--json", code=1)[1])["ledger"]) == {name}
+    assert f"{name}: " in sweep("check", store, code=1)[1]
     assert f"{name}: the next `sweep run` computes again" in sweep("check", store, "--repair", code=0)[1]
     linksweep.run(model, store, axes={"x": [4]}, pool="serial")
     (store / "y" / "zarr.json").unlink()

@@ -120,7 +120,6 @@ DELIMITED = [
 NO_TABLES = [
     *((b"", "has no rows"), ("10,20\n30,40\n", "its first line, '10,20', is not one of column names")),
     *(("ra,dec,ra\n1,2,3\n", "two columns are called 'ra'"), ("ra,dec\n1,2\n3\n", "row 2 has 1 columns, not 2")),
-    ("ra dec name\n1 2 NGC 1\n", "row 1 has 4 columns, not 3"),
     (b"\x00\x01\x02\x03" * 10, "neither a table format that is known nor text"),
     (b"\x1f\x8b\x08\x00bad", "is compressed, but incomplete"),
     ("<!DOCTYPE html><html><body>404</body></html>", "is a web page"),
