@@ -98,11 +98,11 @@ def test_errors_that_are_right_have_no_noise_and_that_of_a_mission_is_its_own(tm
     ours = replace(stars(20, 3), errors=np.full((5, 20), 0.1 * MAS), correlations=np.zeros((10, 20)))
     values = ours.values + np.random.default_rng(4).normal(0.0, 0.5 * MAS, (5, 20))
     hip, blocks = gaia(tmp_path / "hip.ecsv", replace(ours, values=values)), "orientation,hip:orientation"
-    own, rows = gaia(tmp_path / "own.ecsv", ours), gaia(tmp_path / "rows.ecsv", only(ours, POSITION))
-    link = linksweep.tie(own, rows, "orientation", positions="mean", jitter="estimate")  # nobody knows whose it is
+    table, rows = gaia(tmp_path / "own.ecsv", ours), gaia(tmp_path / "rows.ecsv", only(ours, POSITION))
+    link = linksweep.tie(table, rows, "orientation", positions="mean", jitter="estimate")  # nobody knows whose it is
     assert link.noise.values.tolist() == ["position:position"]
     assert "satellite:position" in str(link.attrs["notes"])
-    link = linksweep.tie(own, own, blocks, missions={"hip": hip}, jitter="hip:all=estimate")
+    link = linksweep.tie(table, table, blocks, missions={"hip": hip}, jitter="hip:all=estimate")
     np.testing.assert_allclose(link.noise_size[[0, 2]], 0.5, rtol=0.25)  # rows of the reference have none
     of_hip = np.flatnonzero(link.row_table == "hip")
     step, places = link.estimate.values[:3] - link.estimate.values[3:], ours.values[:2, link.row_source_index[of_hip]]
