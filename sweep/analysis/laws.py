@@ -870,11 +870,11 @@ def _crossing_in_words(row: Mapping[str, Any], unit: str, line: Line, limit: Lim
     rows = line.undecided(threshold, limit.is_met(line.y, threshold))
     # A single crossing between points that are decided is sure.
     unsure = sum(len(some) for some, changes in rows if changes != 1 or some[0] == 0 or some[-1] == n - 1)
-    return f"{MET_WORDS[met]}{what}{_doubt(unsure, n)}"
+    return "; ".join(filter(None, (f"{MET_WORDS[met]}{what}", _doubt(unsure, n))))
 
 
 def _doubt(unsure: int, n: int) -> str:
-    return f"; not decided: {unsure} of {n} points are within {SURE:g} errors of the limit" if unsure else ""
+    return f"not decided: {unsure} of {n} points are within {SURE:g} errors of the limit" if unsure else ""
 
 
 def _part_in_words(x: Array, axis: Array) -> str:

@@ -342,8 +342,8 @@ def find(
             met, doubt = laws.points_where(dataset, limit)
             if as_json or met["status"].size:
                 cli.print_headlines(met, as_json)
-            words = doubt.removeprefix("; ") if met["status"].size else f"no point meets {limit}{doubt}"
-            if words and not as_json:
+            none = "" if met["status"].size else f"no point meets {limit}"
+            if (words := "; ".join(filter(None, (none, doubt)))) and not as_json:
                 cli.put(words)
             return
         result = laws.find(dataset, limit, quantity.require_axis(dataset, limit.variable, over))

@@ -570,7 +570,8 @@ def forecast(satellite: str | Path, reference: str | Path, unknowns: str | None 
         base = solving.source_sums(future)
         planned = observed(*add) if add else base
         sources, steps = planning.choose(base, planned, plan.number, goal)
-        further += [f"only {len(sources)} sources to choose"] if len(sources) < plan.number else []
+        if len(sources) < plan.number:
+            further.append(f"only {len(sources)} sources to choose")
         total = base.matrices.sum(axis=0)
         # At the epoch of the others, to which a release moves it: the error of an orientation depends on it.
         stages = {"now": solving.source_sums(replace(problem, epoch=future.epoch)).matrices.sum(axis=0)}

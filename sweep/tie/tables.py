@@ -90,7 +90,9 @@ _ELEMENT = re.compile(
 _IN_NUMBERS = dict.fromkeys(("none", "null", "--"), "nan") | dict.fromkeys(("t", "true"), "1")
 _IN_NUMBERS |= dict.fromkeys(("f", "false"), "0")
 # Names of columns that are like those of correlations, but for those with the colour in the Gaia archive.
-_LIKE = re.compile(r"^(corr?|rho|cov)(?![a-z])|^(?!.*colour)(ra|de|plx|parallax|pm..)\w\w+_?(corr?\w*|rho|cov)$", re.I)
+_LIKE_CORRELATION = re.compile(
+    r"^(corr?|rho|cov)(?![a-z])|^(?!.*colour)(ra|de|plx|parallax|pm..)\w\w+_?(corr?\w*|rho|cov)$", re.I
+)
 _ELEMENT_OF_HIPPARCOS = re.compile(r"[+-]?\d*\.\d\d")  # of six characters, which may touch
 
 _BUILT_IN = Path(str(resources.files("linksweep.sweeps") / "data")).resolve()
@@ -532,9 +534,10 @@ def _correlations(read: Columns, present: Flags, checked: bool) -> Array | None:
     first, second = core.FIRST[: len(keys)], core.SECOND[: len(keys)]
     vector, named = read.name("corr_vec"), [read.name(key) for key in keys]
     names = [name or vector for name in named]
-    alike = [n for n in read.names if _LIKE.search(n) and n not in (*names, *map(read.name, CORRELATIONS))]
-    said = f"{first_of(alike, 5)}: not used; if these are correlations, say --column ra_dec_corr=NAME"
-    read.notes += [said] if alike else []
+    known = {*names, *map(read.name, CORRELATIONS)}
+    if alike := [name for name in read.names if _LIKE_CORRELATION.search(name) and name not in known]:
+        said = f"{first_of(alike, 5)}: not used; if these are correlations"
+        read.notes.append(f"{said}, say --column ra_dec_corr=NAME")
     if not any(names):
         return None
     correlations = np.array([np.full(len(read), np.nan) if name is None else read.numbers(name) for name in named])
