@@ -239,8 +239,8 @@ def _eliminate_free(result: Eliminated, sources: Indices, columns: Indices) -> N
 
 
 def eliminate_simple(satellite: Astrometry, rows: Astrometry, taken_out: Array | None) -> Eliminated | None:
-    """Return what `eliminate` returns for the best weights, if row i is the only one of source i, all rows are
-    positions at the sources' epochs or all are motions, and the satellite has both coordinates; None otherwise.
+    """Return what `eliminate` returns for the best weights, if row i is the only one of source i and of its epoch, all
+    rows are mean positions or all are motions, and the satellite has both coordinates; None otherwise.
 
     All rows are in the reference's frame.  The row is then the difference itself: W is the inverse of V + C, and
     nothing is eliminated.
@@ -248,11 +248,11 @@ def eliminate_simple(satellite: Astrometry, rows: Astrometry, taken_out: Array |
     pair, absent = ((3, 4), (0, 1, 2)) if np.all(np.isfinite(rows.errors[3])) else ((0, 1), (2, 3, 4))
     inside, not_inside = list(pair), list(absent)
     complete = np.all(rows.present[inside]) and np.all(satellite.present[inside]) and satellite.further is None
-    if not complete or np.any(np.isfinite(rows.errors[not_inside])) or np.any(rows.frame):
+    same_epoch = np.isnan(rows.epoch) | np.isnan(satellite.epoch) | (rows.epoch == satellite.epoch)
+    if not complete or np.any(np.isfinite(rows.errors[not_inside])) or np.any(rows.frame) or not np.all(same_epoch):
         return None
     if pair == (0, 1):
-        same_epoch = np.isnan(rows.epoch) | np.isnan(satellite.epoch) | (rows.epoch == satellite.epoch)
-        if np.any(rows.apparent) or not np.all(same_epoch):
+        if np.any(rows.apparent):
             return None
         values = offsets(*rows.values[:2], *satellite.values[:2])
     else:

@@ -59,6 +59,8 @@ def test_five_parameters_at_the_same_epoch():
     np.testing.assert_allclose(result[:3], EPSILON / MAS, atol=2e-4)
     np.testing.assert_allclose(result[3:6], OMEGA / MAS, atol=2e-6)
     assert result[6] == pytest.approx(0.04, abs=1e-5)
+    turns = solve(source_sums(made(slice(3, 5), 25.0, "spin"))).estimate / MAS  # by 1 mas/yr in these years
+    np.testing.assert_allclose(turns, OMEGA / MAS, atol=5e-3)
     east, north, _ = triad(*problem.satellite.values[:2])
     apart = np.einsum("kin,in->nk", [east, north], triad(*problem.rows.values[:2]).r)
     np.testing.assert_allclose(problem.differences().values[:, :2], apart, atol=1e-15)
