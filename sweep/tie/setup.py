@@ -683,7 +683,8 @@ MOST_NOTES = 5
 def in_row_groups(satellite: str | Path, reference: str | Path, options: Options) -> bool:
     """Return whether a table is read by row groups: many quasars in Parquet, of which no row needs a match."""
     path = Path(satellite)
-    alone = str(reference) == ZERO_MOTION and not (options.missions or options.where or options.epochs)
+    whole = ("missions", "where", "epochs", "star_models", "orbits", "aberration")
+    alone = str(reference) == ZERO_MOTION and not any(getattr(options, name) for name in whole)
     return alone and path.is_file() and reader.is_parquet(path) and sum(reader.row_groups(path)[0]) >= FROM_ROWS
 
 
