@@ -121,7 +121,7 @@ def test_wrong_rows_are_named_with_their_row_group(tmp_path, by_groups):
     with pytest.raises(SweepError, match="rows have the epochs of dr3 and dr4"):
         tie(quasars(tmp_path / "two.parquet", ref_epoch=epochs), "zero-motion")
     for options in ({"aberration": 5.8}, {"orbits": "o.csv"}):
-        with pytest.raises(SweepError, match="is such a position|models and orbits"):
+        with pytest.raises(SweepError, match=r"is such a position|models and orbits"):
             tie(quasars(tmp_path / "quasars.parquet"), "zero-motion", **options)
 
 
