@@ -193,12 +193,15 @@ def claims_of(dataset: xr.Dataset) -> list[Claim]:
 
 def shares_random_numbers(dataset: xr.Dataset, dimensions: Collection[str]) -> bool:
     """Return whether points that differ along these dimensions, and no others, have random numbers in common: values
-    along a dimension of a result's own do, as the same realisations have them all.
+    along a dimension of a result's own do, as the same realisations have them all.  Points of a table differ in
+    parameters, and not in labels.
     """
     if not (dimensions := {*dimensions} & {*axes_of(dataset)}) or not dataset.attrs.get(SHARES_RANDOM_NUMBERS):
         return not dimensions
-    axes = {str(n) for n, c in dataset.coords.items() if dimensions & {*c.dims} and not str(n).endswith("_unit")}
-    return SHARED_AXES not in dataset.attrs or axes - {POINT} <= set(json.loads(dataset.attrs[SHARED_AXES]))
+    crossed = dimensions - {d for name in _columns(dataset) for d in dataset[name].dims}
+    axes = {str(n) for n, c in dataset.coords.items() if crossed & {*c.dims} and not str(n).endswith("_unit")}
+    axes |= {name for name in varied_parameters(dataset) if dimensions & {*dataset[name].dims}}
+    return SHARED_AXES not in dataset.attrs or axes <= set(json.loads(dataset.attrs[SHARED_AXES]))
 
 
 def covariance_along(dataset: xr.Dataset, variable: str, dimension: str) -> xr.DataArray | None:
@@ -260,7 +263,9 @@ def ratio_at(
         at_one, at_other, both = (dataset.isel(pair)[name].transpose(*dims).values / below**2 for pair in pairs)
         variance = at_one + ratio**2 * at_other - 2.0 * ratio * both
         variance = np.maximum(0.0, variance * small_sample_factor(samples_along(dataset, variable, dimension)))
-    elif shares_random_numbers(dataset, differing) and standard_error(dataset, variable) is not None:
+    elif standard_error(dataset, variable) is not None and shares_random_numbers(
+        dataset.isel({d: [one[d], other[d]] for d in differing}), differing
+    ):
         variance = np.nan * variance
     return ratio, np.sqrt(variance)
 
@@ -305,9 +310,13 @@ def numeric_axes(dataset: xr.Dataset, variable: str, kinds: str = "if") -> list[
 
 def varied_parameters(dataset: xr.Dataset) -> list[str]:
     """Return the parameters in which the points of a table or a design differ, in the order of its columns."""
+    return [n for n in _columns(dataset) if len(set(dataset[n].values.tolist())) > 1]
+
+
+def _columns(dataset: xr.Dataset) -> list[str]:
+    """Return the columns of a table or a design that are parameters, along ``point`` or what it was swapped for."""
     names = json.loads(dataset.attrs.get(POINT_TABLE, '{"parameters": []}'))["parameters"]
-    along = [n for n in names if n in dataset.coords and dataset[n].dims == (POINT,)]
-    return [n for n in along if len(set(dataset[n].values.tolist())) > 1]
+    return [n for n in names if n in dataset.coords and dataset[n].dims]
 
 
 def require_axis(dataset: xr.Dataset, variable: str, over: str | None) -> str:

@@ -77,6 +77,11 @@ def test_differences_along_a_shared_axis_have_small_errors(tmp_path):
     alone = sweep(many, tmp_path / "t", {**sampling, "common_random_numbers": False}, gain=[1.0, 1.01], rate=[2.0])
     assert not np.array_equal(alone.wait_samples[1], 1.01 * alone.wait_samples[0])
     assert "wait_mean_mc_covariance_gain" not in alone
+    rows = {"gain": [1.0, 1.01, 1.0], "rate": [2.0, 2.0, 3.0], "who": list("abc")}
+    table = linksweep.run(many, tmp_path / "u", points=rows, labels="who", sampling={"n_sim": 60}, pool="serial")
+    for one, along in ((table, [0, 1, 2]), (table.swap_dims(point="who"), rows["who"])):
+        errors = [linksweep.ratio(one, "wait_mean", *one.sizes, along[0], k)["ratio_error"].item() for k in along[1:]]
+        assert np.isnan(errors).tolist() == [True, False]  # labels do not matter, and other rates have other numbers
 
 
 @experiment(shared=("a", "b", "kind"))
