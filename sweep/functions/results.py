@@ -494,8 +494,8 @@ def split_points(result: Any, n: int, declared: Declared, noun: str) -> list[Out
     def column(value: Value) -> Value:
         if value.dims is not None:
             raise ResultError(f"is an xarray object, {each}")
-        if value.array.ndim == 0 and value.type in NUMBERS:  # perhaps a sum or a mean
-            raise ResultError(f"is one number, {each}")
+        if value.array.ndim == 0 and value.type in {*NUMBERS, "bool"}:  # perhaps a sum, a mean or `any`
+            raise ResultError(f"is one value, {each}")
         array = np.broadcast_to(value.array, (n,)) if value.array.ndim == 0 else value.array
         if len(array) != n:
             raise ResultError(f"has {len(array)} values, {each}")

@@ -25,7 +25,7 @@ KEPT = {"a_float": 0.1 + 0.2, "negative_zero": -0.0, "denormal": 5e-324, "zero_d
 KEPT |= {"numpy_float": np.float64(1 / 3), "single": np.float32(0.1), "an_int": 2**63 - 1, "least_int": -(2**63)}
 KEPT |= {"numpy_int": np.int32(-7), "unsigned": np.uint8(255), "numpy_bool": np.bool_(False), "zero_d_int": np.array(3)}
 ZONED = pd.Series([1.0, 2.0], index=pd.date_range("2020-06-01", periods=2, tz="Europe/Berlin"))
-TOGETHER = [("[*x, 1.0]", "values, expected an array, one for each"), ("x.sum()", "is one number"), ("x[0]", "is one")]
+TOGETHER = [("[*x, 1]", "values, expected an array, one for each"), ("x.sum()", "is one"), ("(x > 0).any()", "is one")]
 GROWING = [((), [2, 3], "declare Output(NAME, ragged=True)")]
 GROWING += [([Output("a", ragged=True)], [2, 3], "ragged='DIMENSION'")]
 GROWING += [([Output("b", ragged=True)], [2], "'b' has the dimensions (b_dim_0, b_dim_1): declare which of them is")]
