@@ -9,6 +9,7 @@ import types
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
+from enum import Enum
 from typing import Annotated, Any, Final, Literal, TypeVar, Union, cast, get_args, get_origin
 
 import numpy as np
@@ -495,9 +496,12 @@ class FunctionExperiment(Experiment):
 
 
 def _column(values: list[Any]) -> NDArray[Any]:
-    """Return values as an array: of objects where they have units, or several types, of which NumPy makes texts."""
+    """Return values as an array: of objects where NumPy would make texts or numbers of what has units, several types,
+    or members.
+    """
     alike = len(kinds := {*map(type, values)}) == 1 or kinds == {int, float}
-    return np.array(values) if alike and not results.unit_of(values[0]) else np.fromiter(values, object, len(values))
+    are_objects = not alike or isinstance(values[0], Enum) or results.unit_of(values[0])
+    return np.fromiter(values, object, len(values)) if are_objects else np.array(values)
 
 
 def experiment_of(function: Callable[..., Any]) -> FunctionExperiment:

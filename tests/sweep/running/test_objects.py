@@ -390,10 +390,11 @@ MEMBERS += [("m", [*Word, "None"], ["YES", "None"]), ("m: int", [*Level], [1, 2]
 def test_members_of_enumerations_of_numbers_and_texts_are_what_they_are(tmp_path, declared, values, labels):
     names = {"Level": Level}
     exec(f"def kind({declared}):\n    return type(m).__name__", names)
-    for _ in range(2):
-        ds = linksweep.run(names["kind"], tmp_path / "s.zarr", axes={"m": values}, pool="serial")
-    assert ds.m.values.tolist() == labels
-    assert ds.kind.values.tolist() == [type(v).__name__ if labels != [1, 2] else "int" for v in values]
+    exec(f"def kinds({declared}):\n    return [type(one).__name__ for one in m.tolist()]", names)
+    for f in (names["kind"], names["kind"], linksweep.experiment(vectorised=True)(names["kinds"])):
+        ds = linksweep.run(f, tmp_path / f.__name__, axes={"m": values}, pool="serial")
+        assert ds.m.values.tolist() == labels
+        assert ds[f.__name__].values.tolist() == [type(v).__name__ if labels != [1, 2] else "int" for v in values]
 
 
 def test_objects_of_other_runs_are_never_computed_without_their_script(here, sweep):
