@@ -33,6 +33,7 @@ from linksweep.sweep.contract import (
     Parameter,
     SweepError,
     Value,
+    is_number,
     nearest,
     needed,
     number_at,
@@ -716,8 +717,7 @@ def _designed(form: PointsForm, values: Values) -> tuple[Cells, dict[str, Any]]:
     for key, spec in form.ranges.items():
         with problems.at(("points", "ranges", key)):
             ranges.append(one := read_range(values.experiment.parameter(key), spec))
-            few = one.levels < MORRIS_LEVELS or any(isinstance(value, str | bool) for value in one.values)
-            if name == "morris" and few:
+            if name == "morris" and (one.levels < MORRIS_LEVELS or not all(map(is_number, one.values))):
                 raise ValueError(f"a Morris design takes steps between {MORRIS_LEVELS} numbers at least")
     if len(ranges) < len(form.ranges):
         return {}, {}
