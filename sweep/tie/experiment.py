@@ -14,7 +14,7 @@ from linksweep.core.tie import forecast
 from linksweep.core.tie.noise import Noise
 from linksweep.core.tie.problem import Clip, KeptSources, Problem, Solution, clipped, parse_clip, solve, source_sums
 from linksweep.core.unknowns import SpinByBin, Unknowns, parse_unknowns
-from linksweep.sweep.contract import Experiment, Output, Parameter, Point, SweepError
+from linksweep.sweep.contract import Experiment, Output, Parameter, Point, SweepError, small_sample_factor
 from linksweep.sweep.tables.columns import TableFile
 from linksweep.sweep.tables.options import declared, parameter
 from linksweep.sweep.tie import setup
@@ -130,10 +130,11 @@ FIXED = {one.name: tuple(len(COORDINATES[dim]) for dim in one.dims) for one in O
 
 SUMS: Mapping[str, tuple[int, ...]] = {
     **FIXED,
-    **dict.fromkeys(("predicted_variance", "bias", "bias_squares", "coverage", "coverage_scaled"), (len(COMPONENTS),)),
-    **dict.fromkeys(("mean_square", "mean_square_squares"), (2,)),
+    **dict.fromkeys(("predicted_variance", "bias", "square", "square_squares"), (len(COMPONENTS),)),
+    **dict.fromkeys(("coverage", "coverage_scaled"), (len(COMPONENTS),)),
+    **dict.fromkeys(("orientation_square", "orientation_square_squares", "spin_square", "spin_square_squares"), ()),
     **dict.fromkeys(("power_drawn_predicted", "power_drawn", "power_drawn_squares"), POWER_SHAPE),
-    **dict.fromkeys(("bins_variance", "bins_squares"), BIN_SHAPE),
+    **dict.fromkeys(("bins_variance", "bins_square", "bins_square_squares"), BIN_SHAPE),
     **dict.fromkeys(("n_kept_drawn", "chi2_ratio_drawn", "chi2_ratio_drawn_squares"), ()),
 }
 
@@ -313,11 +314,13 @@ def _simulated(point: Point, n_sim: int, rng: np.random.Generator) -> dict[str, 
     drawn = [_solved(draw, design.clip, truth, solution) for draw in simulation.draws(n_sim, rng)]
     error, formal, ratio, kept = (np.array(part) for part in zip(*drawn, strict=True))
     power = np.array([powers(unknowns, one * MAS, solution.covariance)[0] for one in error])
-    in_bins = by_bins(unknowns, error)
+    in_bins = by_bins(unknowns, error) ** 2
     error, formal = components(error, labels), components(formal, labels)
     moments = {
-        "bias": error,
-        "mean_square": np.stack([np.mean(error[:, part] ** 2, axis=1) for part in (ORIENTATION, SPIN)], axis=1),
+        "square": error**2,
+        "bins_square": in_bins,
+        "orientation_square": np.mean(error[:, ORIENTATION] ** 2, axis=1),
+        "spin_square": np.mean(error[:, SPIN] ** 2, axis=1),
         "power_drawn": power,
         "chi2_ratio_drawn": ratio,
     }
@@ -327,11 +330,12 @@ def _simulated(point: Point, n_sim: int, rng: np.random.Generator) -> dict[str, 
         "bins_variance": by_bins(unknowns, variance),
     }
     sums = {name: n_sim * values for name, values in fixed.items()}
-    sums |= {name: np.asarray(values.sum(axis=0)) for name, values in (moments | {"n_kept_drawn": kept}).items()}
+    totals = moments | {"bias": error, "n_kept_drawn": kept}
+    sums |= {name: np.asarray(values.sum(axis=0)) for name, values in totals.items()}
     sums |= {f"{name}_squares": np.asarray(np.sum(values**2, axis=0)) for name, values in moments.items()}
     for name, size in (("coverage", formal), ("coverage_scaled", formal * np.sqrt(ratio)[:, None])):
         sums[name] = np.where(np.isnan(error) | np.isnan(size), np.nan, np.abs(error) <= size).sum(axis=0)
-    return sums | {"bins_squares": np.sum(in_bins**2, axis=0), "drawn": error + components(truth / MAS, labels)}
+    return sums | {"drawn": error + components(truth / MAS, labels)}
 
 
 def _solved(draw: KeptSources, clip: Clip, truth: Array, solution: Solution) -> tuple[Array, Array, float, float]:
@@ -377,33 +381,34 @@ def summarise(sums: Mapping[str, Array], n: Array, n_cat: Array) -> dict[str, Ar
     each = {name: n.reshape(-1, *[1] * (total.ndim - 1)) for name, total in sums.items()}
     mean = {name: total / each[name] for name, total in sums.items()}
 
-    def error_of_mean(name: str) -> Array:
-        """Return the standard error of a mean from the scatter of the n numbers; NaN for one."""
+    def with_error(name: str, of: str, power: float = 1.0) -> dict[str, Array]:
+        """Return a ``power`` of a mean of n numbers, none of them negative, and its error from their scatter."""
         with np.errstate(invalid="ignore", divide="ignore"):
-            size = np.where(each[name] > 1, each[name] - 1.0, np.nan)
-            return np.sqrt(np.maximum(mean[f"{name}_squares"] - mean[name] ** 2, 0.0) / size)
+            square = np.maximum(mean[f"{of}_squares"] / mean[of] ** 2 - 1.0, 0.0) / (each[of] - 1.0)
+            # by simulation, so that draws without the rare large numbers of a skewed law do not look too precise
+            square = small_sample_factor(each[of]) * square * np.exp(np.minimum(8.0 * square, 3.0))
+        value = mean[of] ** power
+        return {name: value, f"{name}_mc_error": power * value * np.where(value == 0.0, 0.0, np.sqrt(square))}
 
-    results = {name: mean[name] for name in (*FIXED, "n_kept_drawn", "power_drawn_predicted")}
+    results = {name: mean[name] for name in (*FIXED, "n_kept_drawn", "power_drawn_predicted", "bias")}
     for name in ("n_sources", "n_kept", "n_drawn"):
         results[name] = np.round(results[name])  # a whole number times n, over n
-    for name, squares, variance in (
-        ("sigma", "bias_squares", "predicted_variance"),
-        ("sigma_by_bin", "bins_squares", "bins_variance"),
+    variance = mean["predicted_variance"]
+    for name, square, predicted in (
+        ("sigma", "square", variance),
+        ("sigma_by_bin", "bins_square", mean["bins_variance"]),
+        ("sigma_orientation", "orientation_square", variance[:, ORIENTATION].mean(axis=1)),
+        ("sigma_spin", "spin_square", variance[:, SPIN].mean(axis=1)),
     ):
-        results[name] = np.sqrt(mean[squares])
-        results[f"{name}_mc_error"] = results[name] / np.sqrt(2.0 * each[squares])
-        results[f"{name}_predicted"] = np.sqrt(mean[variance])
-    for name in ("bias", "chi2_ratio_drawn", "power_drawn"):
-        results[name], results[f"{name}_mc_error"] = mean[name], error_of_mean(name)
+        results |= with_error(name, square, 0.5) | {f"{name}_predicted": np.sqrt(predicted)}
+    for name in ("chi2_ratio_drawn", "power_drawn"):
+        results |= with_error(name, name)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        scatter = np.maximum(mean["square"] - mean["bias"] ** 2, 0.0) / (each["bias"] - 1.0)
+        results["bias_mc_error"] = np.sqrt(small_sample_factor(each["bias"]) * scatter)
     for name in ("coverage", "coverage_scaled"):
-        between = (sums[name] + 1.0) / (each[name] + 2.0)  # never 0 or 1, where the error would be 0
+        between = (sums[name] + 2.0) / (each[name] + 4.0)  # never 0 or 1, where the error would be 0
         results[name], results[f"{name}_mc_error"] = mean[name], np.sqrt(between * (1.0 - between) / each[name])
-    for which, (name, part) in enumerate((("sigma_orientation", ORIENTATION), ("sigma_spin", SPIN))):
-        rms = results[name] = np.sqrt(mean["mean_square"][:, which])
-        with np.errstate(invalid="ignore", divide="ignore"):
-            scatter = error_of_mean("mean_square")[:, which] / (2.0 * rms)
-        results[f"{name}_mc_error"] = np.where(rms > 0.0, scatter, rms)
-        results[f"{name}_predicted"] = np.sqrt(mean["predicted_variance"][:, part].mean(axis=1))
     return results
 
 
@@ -451,7 +456,7 @@ def cost(point: Point) -> float:
 
 tie = Experiment(
     name="tie",
-    version=2,
+    version=3,
     parameters=PARAMETERS,
     sums=SUMS,
     outputs=OUTPUTS,
