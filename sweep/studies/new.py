@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any
@@ -38,7 +39,7 @@ def new_study(title: str, reference: str, experiment: Experiment) -> str:
         "[axes]  # every combination of the values is a point of the grid",
         "# NAME = { start = 1.0, stop = 2.0, step = 0.5 }",
         '# NAME = { start = 10, stop = 1000, num = 5, spacing = "log" }',
-        *([f"{name} = {_toml(values)}"] if name else []),
+        *([f"{_key(name)} = {_toml(values)}"] if name else []),
         "",
         "# [points]  # many parameters at once, from a table or a design: docs/points.md",
         '# file = "runs.csv"  # a column for each parameter',
@@ -57,11 +58,11 @@ def new_study(title: str, reference: str, experiment: Experiment) -> str:
     for parameter in (one for one in experiment.parameters if one.name != name):
         words = " ".join("; ".join(filter(None, [parameter.meaning, parameter.allowed()])).split())
         lines += ["", "".join(c for c in f"# {words}" if c.isprintable())]
+        key = _key(parameter.name)
         if parameter.required:
-            lines.append(f"{parameter.name} = {_toml(_example(parameter))}  # has no default")
+            lines.append(f"{key} = {_toml(_example(parameter))}  # has no default")
         else:
-            default = "" if parameter.default is None else f" {_toml(parameter.written_default())}"
-            lines.append(f"# {parameter.name} ={default}")
+            lines.append(f"# {key} = {'' if parameter.default is None else _toml(parameter.written_default())}".rstrip())
     return "\n".join(lines) + "\n"
 
 
@@ -86,6 +87,11 @@ def _first_axis(experiment: Experiment) -> tuple[str, list[Any]]:
         if len(good) >= 2:
             return parameter.name, good[:2]
     return next(((p.name, [p.written_default()]) for p in known if p.may_be_axis), ("", []))
+
+
+def _key(name: str) -> str:
+    """Return a name as a key of TOML, which has only some letters without quotes, and for which dots divide."""
+    return name if re.fullmatch(r"[\w-]+", name, re.ASCII) else _toml(name)
 
 
 def _toml(value: object) -> str:

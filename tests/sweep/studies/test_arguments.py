@@ -134,6 +134,8 @@ def test_a_new_study_runs_as_it_is_and_says_the_defaults_in_comments(reference, 
     sampled = re.sub(r"^# (precision|max_n_sim) =", r"\1 =", begun, flags=re.MULTILINE)
     assert ("precision =" in sampled) == (reference == LINK)  # coins have no error to judge by
     assert plan(sampled)[0]
+    (tmp_path / "f.py").write_text("def f(ä=1.0):\n    return ä\n")
+    assert sweep("new", "ours", "f.py:f", cwd=tmp_path)[0] == sweep("run", "ours.toml", cwd=tmp_path)[0] == 0
 
 
 def test_every_study_of_ours_conforms_to_the_schema_which_has_the_parameters_of_its_experiment(link_validator):
