@@ -62,7 +62,8 @@ def new_study(title: str, reference: str, experiment: Experiment) -> str:
         if parameter.required:
             lines.append(f"{key} = {_toml(_example(parameter))}  # has no default")
         else:
-            lines.append(f"# {key} = {'' if parameter.default is None else _toml(parameter.written_default())}".rstrip())
+            default = "" if parameter.default is None else _toml(parameter.written_default())
+            lines.append(f"# {key} = {default}".rstrip())
     return "\n".join(lines) + "\n"
 
 
