@@ -230,8 +230,11 @@ def _eliminate_free(result: Eliminated, sources: Indices, columns: Indices) -> N
     keep[:, columns, :] = 0.0
     right, spread = result.right[sources], result.right_covariance[sources]
     result.squares[sources] -= np.einsum("nk,nkl,nl->n", right[:, columns], inverse, right[:, columns])
-    result.expected[sources] -= np.einsum("nkl,nlk->n", inverse, spread[:, columns[:, None], columns])
     result.count[sources] -= np.sum(seen, axis=1)
+    if result.spread is None:
+        result.expected[sources] = result.count[sources]
+    else:
+        result.expected[sources] -= np.einsum("nkl,nlk->n", inverse, spread[:, columns[:, None], columns])
     result.normal[sources] = keep @ weight @ keep.swapaxes(1, 2)
     result.right[sources] = np.einsum("nij,nj->ni", keep, right)
     if result.spread is not None:
@@ -393,6 +396,11 @@ def source_discrepancies(problem: Problem, estimate: Array) -> Array:
 def source_counts(problem: Problem) -> Array:
     """Return the number of observations of each source less that of its free parameters; shape (S,)."""
     return _of_each(problem, lambda left: left.count)
+
+
+def source_averages(problem: Problem) -> Array:
+    """Return the average of Q_i of each source if the errors are right; shape (S,)."""
+    return _of_each(problem, lambda left: left.expected)
 
 
 def _of_each(problem: Problem, value: Callable[[Eliminated], Array]) -> Array:
@@ -695,6 +703,11 @@ class KeptSources:
         """The number of observations of each source, zero for one without any; shape (S,)."""
         return self.sums.count
 
+    @property
+    def expected(self) -> Array:
+        """The average of Q_i of each source if the errors are right, its count for the best weights; shape (S,)."""
+        return self.sums.expected
+
     def solve(self, factors: Array | Flags) -> Solution:
         """Return the solution with a factor (S,) of the weight of each source, zero (False) for one left out."""
         kept = factors > 0.0
@@ -738,6 +751,11 @@ class StreamedSources:
     def count(self) -> Array:
         """The number of observations of each source."""
         return self._of_each(source_counts, kind=np.float32)  # whole numbers, exact as float32
+
+    @cached_property
+    def expected(self) -> Array:
+        """The average of Q_i of each source."""
+        return self._of_each(source_averages)
 
     def solve(self, factors: Array | Flags) -> Solution:
         """Return the solution with a factor of the weight of each source."""
@@ -876,7 +894,10 @@ def clipped(clip: Clip, sources: Sources) -> Clipped:
         return _rayleigh(sources)
     if clip.kind == "discrepancy":
         return _one_by_one(sources, clip.number)
-    return _reweighted(sources, partial(_median_factors if clip.kind == "median" else _huber_factors, clip.number))
+    if clip.kind == "median":
+        return _reweighted(sources, partial(_median_factors, clip.number))
+    sigma = np.sqrt(sources.expected / np.maximum(sources.count, 1.0))  # of equal weights these are no sigmas
+    return _reweighted(sources, partial(_huber_factors, clip.number * sigma))
 
 
 def separation(problem: Problem) -> Array:
@@ -971,7 +992,7 @@ def _normalised(sources: Sources, solution: Solution, used: Flags) -> Array:
 
 
 def _one_by_one(sources: Sources, number: Any) -> Clipped:
-    """Drop the source with the largest Q_i/n_i, solve again, and so on.
+    """Drop the source with the largest Q_i over its average, solve again, and so on.
 
     The step that is chosen is that after ``number`` sources, or the first at which the largest Q_i is not significant
     among so many.  The trajectory goes on beyond it where the sums of sources are kept.
@@ -982,8 +1003,10 @@ def _one_by_one(sources: Sources, number: Any) -> Clipped:
     chosen: int | None = number
     while len(trajectory) <= max(TRAJECTORY, number or 0) and factors.sum() > 1:
         squares = sources.discrepancies(trajectory[-1].estimate)
-        worst = int(np.argmax(np.where(factors > 0.0, squares / np.maximum(sources.count, 1.0), -1.0)))
-        if chosen is None and chdtrc(sources.count[worst], squares[worst]) * factors.sum() > SIGNIFICANCE:
+        ratios = np.divide(squares, sources.expected, out=-np.ones_like(squares), where=factors > 0.0)
+        worst = int(np.argmax(ratios))
+        n = sources.count[worst]
+        if chosen is None and chdtrc(n, n * ratios[worst]) * factors.sum() > SIGNIFICANCE:
             chosen = len(trajectory) - 1
         if sources.sums is None and chosen == len(trajectory) - 1:
             break  # a further step is a pass over the table
