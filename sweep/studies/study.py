@@ -173,7 +173,8 @@ def _condition(name: str, written: Any, context: Context) -> Condition:
         raise ValueError(f"{name} has no order: use equal or in")
     if parameter.default is None and name not in context.known:
         raise ValueError(f"{name} has no value to compare: it is neither an axis nor fixed, and has no default")
-    above, below = (float(number_at(key, rule)) if key in rule else None for key in ("above", "below"))
+    bounds = (number_at(key, rule) if key in rule else None for key in ("above", "below"))
+    above, below = (bound if bound is None or bound != float(bound) else float(bound) for bound in bounds)
     return Condition(name, above=above, below=below)
 
 

@@ -317,6 +317,12 @@ def test_conditions_of_any_depth_hold_at_each_point_wherever_values_come_from(tm
             linksweep.run(runs[1][0] | {"experiment": chained, "when": {**when, "b": {"a": ["w"]}}}, store)
 
 
+def test_bounds_are_compared_as_integers_beyond_2_to_53_too(tmp_path):
+    axes, bounds = {"n": [2**60 + k for k in range(4)]}, [{"n": {"below": 2**60 + 1}}, {"n": {"above": 2**60 + 2}}]
+    ds = linksweep.run(lambda n: n % 4, tmp_path / "s", axes=axes, exclude=bounds, pool="serial")
+    assert ds.status.values.tolist() == [3, 1, 1, 3]
+
+
 @pytest.mark.parametrize("axis", few(2, ALIKE))
 def test_conditions_tell_values_from_others_that_are_alike_and_objects_by_their_labels_too(tmp_path, axis):
     rows = linksweep.run(lambda k: repr(k) + "", tmp_path / "t", points={"k": [*axis, axis[0]]}, pool="serial")
