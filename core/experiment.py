@@ -331,7 +331,7 @@ def summarise(sums: Mapping[str, Array], n: Array, n_cat: Array) -> dict[str, Ar
     sigma, expected = np.sqrt(_with_means(variance)), _with_means(total)
     sigmas = {
         "": sigma,
-        "_mc_error": sigma * _relative_error(expected, sums["predicted_square_variance"] / each, each),
+        "_mc_error": _error_of_root(expected, sums["predicted_square_variance"] / each, each),
         "_predicted": np.sqrt(_with_means(predicted)),
         "_rms_predicted": np.sqrt(expected),
         "_catalogue_error": _catalogue_error(expected, sums["predicted_powers"] / each[..., None], n_cat[:, None]),
@@ -368,15 +368,15 @@ def _with_means(values: Array) -> Array:
     return np.column_stack([values, *(values[:, part].mean(axis=1) for part in MEANS)])
 
 
-def _relative_error(expected: Array, variance: Array, n: Array) -> Array:
-    """Return the relative error of sqrt(mean of n squares) with these expected values and this mean ``variance``.
+def _error_of_root(expected: Array, variance: Array, n: Array) -> Array:
+    """Return the error of sqrt(mean of n squares) with these expected values and this mean ``variance``.
 
-    In the closed form, not from the realisations: few tell little of their fourth moments.  A single normal error has
-    1/sqrt(2 n), and so have components of which one dominates the others; for three that are alike it is 1/sqrt(6 n).
-    Biases, and catalogues of different quality, have their part.
+    In the closed form, not from the realisations: few tell little of their squares and fourth moments.  A single normal
+    error has sigma/sqrt(2 n), and so have components of which one dominates the others; for three that are alike it is
+    sigma/sqrt(6 n).  Biases, and catalogues of different quality, have their part.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.where(expected > 0.0, np.sqrt(variance / n) / (2.0 * expected), 0.0 * expected)
+        return np.where(expected > 0.0, np.sqrt(variance / n / expected) / 2.0, 0.0 * expected)
 
 
 def _correlation(covariance: Array) -> Array:

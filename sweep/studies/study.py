@@ -598,7 +598,7 @@ class Form(Section):
 
 
 # That of docs/errors.md; a run writes the results of a store of another one anew from its blocks.
-CONVENTION = 3
+CONVENTION = 4
 
 # The attribute of a store that says which part of a study it holds.
 PART = "part"

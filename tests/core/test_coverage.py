@@ -24,7 +24,7 @@ LINKS = {
 }
 ONE = [("quasars", 1, 64), ("quasars", 1, 2048), ("poor-geometry", 1, 512), ("slope", 1, 128), ("leak", 1, 128)]
 FEW = [("quasars", n_cat, 64) for n_cat in (2, 5, 12)] + [("aberration", 5, 64), ("aberration", 12, 1024)]
-MORE = [("three-objects", 100, 64), ("glide", 8, 64), ("leak", 24, 1)]
+MORE = [("three-objects", 100, 64), ("glide", 8, 64), ("leak", 24, 1), ("quasars", 5, 1)]
 OTHERS = [(case, 12, 64) for case in LINKS if case not in ("quasars", "three-objects", "poor-geometry", "glide")]
 
 

@@ -91,7 +91,7 @@ def test_summarise_against_direct_formulas(solve_glide):
         widened = 2 * (1 + 6 * stats.skew(by_catalogue, axis=-1) ** 2 / n_cat)
         error_of_mean = np.sqrt(widened / n_cat) * by_catalogue.std(axis=-1, ddof=1)
         expected |= {
-            **{name: sigma, f"{name}_mc_error": sigma * np.sqrt(of_these / 40) / (2 * whole**2)},
+            **{name: sigma, f"{name}_mc_error": np.sqrt(of_these / 40) / (2 * whole)},
             **{f"{name}_predicted": np.sqrt(weights @ predicted.mean(axis=0)), f"{name}_rms_predicted": whole},
             f"{name}_catalogue_error": error_of_mean / (2 * whole),
         }
