@@ -660,17 +660,25 @@ def _read_published(form: Form, values: Values, axes: Collection[str], fixed: Ma
             raise ValueError("holds no rows")
         if (unknown := rows[0][1].keys() - {*outputs, *parameters, ""}) and not values.experiment.undeclared:
             raise ValueError(f"has columns {shown(sorted(unknown))}, which are neither parameters nor outputs")
+        first: dict[Any, int] = {}  # the line of each number, by its column and its place
         for number, row in rows:
             with problems.at(where, f"{file}, line {number}: "):
                 if "" in row or None in row.values():
                     raise ValueError(f"does not have {len(reader.fieldnames or ())} cells as the header has")
+                place, said = list[Value](), list[str]()
                 for column, cell in row.items():
                     if column in parameters and (column not in outputs or column in axes):
                         kind, is_none = parameters[column].kind, cell == "None" and parameters[column].reads_none
                         raw = None if is_none else cell if kind == "str" else read_cell(cell, kind)
-                        compared(parameters[column], raw)
+                        value = compared(parameters[column], raw)
+                        place.append(cell if kind == "any" else value)  # 1.10 may be a name
                     elif cell and isinstance(read_cell(cell, "float"), str):
                         raise ValueError(f"{column} = {shown(cell)}: must be a number or empty")
+                    elif cell:
+                        said.append(column)
+                for column in said:
+                    if (line := first.setdefault((column, *place), number)) != number:
+                        raise ValueError(f"{column}: line {line} has a number for the same point")
         others = {n: raw for n, raw in about.where.items() if n not in form.fixed or form.fixed[n] != raw}
         along = {name: values.one(("published", "where", name), name, raw) for name, raw in others.items()}
         return Published(about, tuple(row for _, row in rows), {**fixed, **along})

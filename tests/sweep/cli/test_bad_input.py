@@ -107,6 +107,7 @@ WITH_FILES = {  # by the content of a file beside the study: what is said
         (b"v_max,sigma\n", f"{PLACE} holds no rows"),
         (b"v_max,colour,sigma_spin\n16,red,1\n", "columns ['colour'], which are neither parameters nor outputs"),
         (b"# c\nv_max,sigma_spin\n16,0.5\n17\n", "line 4: does not have 2 cells as the header has"),
+        (b"v_max,sigma_spin\n16,0.5\n16.0,0.6\n", "line 3: sigma_spin: line 2 has a number for the same point"),
         (b"v_max,sigma_spin\n16," + b"1" * 200_000, "is not a CSV table: field larger than field limit"),
         (b"n_obj,sigma_spin\n2.5,1\n", "line 2: n_obj = 2.5: must be an integer"),  # an axis here, else a result
         (b"v_max\n\xff\n", "not UTF-8 text: byte 0xff in line 2"),
