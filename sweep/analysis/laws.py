@@ -201,8 +201,8 @@ def lines(dataset: xr.Dataset, variable: str, over: str, least: int = 2) -> Line
 def lines_of(dataset: xr.Dataset, variable: str, over: str, least: int = 2) -> Lines:
     """Return a quantity along an axis like `lines`, but with points that are not done.
 
-    Where ``least`` is above 1, points at which the axis has no effect belong to no line.  The ``samples`` of a line are
-    NaN where fewer than ``least`` of its errors are known.
+    Points at which the axis has no effect belong to no line, or where ``least`` is 1 to one without any others.  The
+    ``samples`` of a line are NaN where fewer than ``least`` of its errors are known.
     """
     dimension = str(dataset[over].dims[0])
     pair, along = (dimension, f"{dimension}_other"), dataset[over].values
@@ -234,7 +234,8 @@ def lines_of(dataset: xr.Dataset, variable: str, over: str, least: int = 2) -> L
     for number, (index, unit) in enumerate(
         zip(quantity.places_along(dataset, others), quantity.units_along(dataset, variable, others), strict=True)
     ):
-        used = (status[number] != Status.EXCLUDED) & ~(np.isnan(x) & (least > 1))
+        there = status[number] != Status.EXCLUDED
+        used = there & ~np.isnan(x) if least > 1 or np.isfinite(x[there]).any() else there
         spread = errors[number][np.ix_(*[used] * errors[number].ndim)]
         are_few = np.count_nonzero((spread > 0.0) & np.isfinite(spread)) < least and spread.any()
         n = np.nan if are_few and covariance is None and error is not None else samples

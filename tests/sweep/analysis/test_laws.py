@@ -211,6 +211,10 @@ def test_what_has_no_place_and_no_errors_is_printed_without(tmp_path, sweep_here
     assert ("always; 7 is nearest to the limit" in out, "nan" in out, "scatter" in out) == (True, False, False)
     law = fit_power_law(ds, "z", "width").sel(name="rbf")
     assert (law["points"].item(), law["exponent"].item()) == (3.0, pytest.approx(1.0))
+    both = {"grid": {"zip": [["name", "width"]]}, "axes": {"name": ["flat", "rbf", "poly"], "width": [8.0, 1.0, 4.0]}}
+    both |= {"experiment": kernel, "when": {"width": {"name": ["rbf", "poly"]}}}
+    words = find(linksweep.run(both, tmp_path / "z.zarr", pool="serial"), "z < 15", "width")["conclusion"].item()
+    assert words == "always; 12 at 4 is nearest to the limit"
     twice = linksweep.run(lambda x: x, tmp_path / "u.zarr", points={"x": [1.0, 2.0, 2.0, 3.0]}, pool="serial")
     assert fit_power_law(twice, "result", "x")["points"].item() == 3.0
     linksweep.run(kernel, tmp_path / "t.zarr", points={"name": ["flat", "rbf"], "width": [1.0, 2.0]}, pool="serial")
