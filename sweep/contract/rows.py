@@ -145,17 +145,18 @@ def enlarged_error(square: Array, samples: ArrayLike, skewness: Array) -> Array:
     return np.asarray(np.sqrt(square * small_sample_factor(samples) * (1.0 + 6.0 * skewness)))
 
 
-def p_value(chi2: float, dof: int, samples: float = np.inf) -> float:
+def p_value(chi2: float, dof: int, samples: float = np.inf, scaled: float = np.inf) -> float:
     """Return the probability of a chi2 at least as large by chance; NaN without degrees of freedom.
 
-    With a covariance estimated from ``samples``, chi2 is Hotelling's T^2, which has an F distribution.
+    With a covariance estimated from ``samples``, chi2 is Hotelling's T^2, which has an F distribution.  So it has with
+    a covariance that was scaled by another chi2 over its ``scaled`` degrees of freedom.
     """
     from scipy.special import chdtrc, fdtrc  # takes a tenth of a second, and most studies need neither
 
-    if np.isinf(samples):
+    if np.isinf(samples) and np.isinf(scaled):
         return float(chdtrc(dof, chi2)) if dof > 0 else np.nan
-    left = samples - dof
-    return float(fdtrc(dof, left, chi2 * left / (dof * (samples - 1.0)))) if dof > 0 < left else np.nan
+    left, part = (scaled, 1.0) if np.isinf(samples) else (samples - dof, (samples - dof) / (samples - 1.0))
+    return float(fdtrc(dof, left, chi2 / dof * part)) if dof > 0 < left else np.nan
 
 
 # Bytes in a `ledger_key`.

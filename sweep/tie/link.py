@@ -221,10 +221,10 @@ def _covariances(
     return covariances, samples, notes
 
 
-def spectrum(unknowns: Unknowns, estimate: Array, covariance: Array, samples: float = np.inf) -> Array:
+def spectrum(unknowns: Unknowns, estimate: Array, covariance: Array, **about: float) -> Array:
     """Return of each of `FIELDS` and each degree the power (mas^2 or mas^2/yr^2), its mean for noise alone, c'V^-1 c,
-    which for noise alone is a chi2 of 2 l + 1 degrees of freedom, or Hotelling's T^2 if the covariance is from the
-    scatter of ``samples``, and the probability that noise is as significant; shape (4, fields, degrees), NaN for what
+    which for noise alone is a chi2 of 2 l + 1 degrees of freedom or what `p_value` makes of it by what is known
+    ``about`` the covariance, and the probability that noise is as significant; shape (4, fields, degrees), NaN for what
     is not among the unknowns.  Rotations and glides are of degree 1; there is no degree without harmonics.
     """
     harmonics = [block for block in unknowns.blocks if isinstance(block, Harmonics)]
@@ -242,7 +242,7 @@ def spectrum(unknowns: Unknowns, estimate: Array, covariance: Array, samples: fl
             piece = slice(start, start + len(weights))
             start, x, v = piece.stop, estimate[piece], covariance[piece, piece]
             chi2 = float(x @ np.linalg.solve(v, x)) if np.any(v) else np.nan  # a table linked to itself has errors of 0
-            power = weights @ x**2, weights @ np.diag(v), chi2, p_value(chi2, 2 * degree + 1, samples)
+            power = weights @ x**2, weights @ np.diag(v), chi2, p_value(chi2, 2 * degree + 1, **about)
             powers[:, FIELDS.index(field), degree - 1] = power
     return powers
 
@@ -464,8 +464,9 @@ def _of_steps(link: Link, sign: float) -> dict[str, Any]:
 
 
 def _of_harmonics(link: Link, main: Array) -> dict[str, Any]:
-    samples = next(iter(link.samples.values()))
-    powers = spectrum(link.setup.problem.unknowns, link.solution.estimate / MAS, main, samples)
+    kind, samples = next(iter(link.samples.items()))
+    about = {"samples": samples, "scaled": link.solution.dof if kind == "scaled" else np.inf}
+    powers = spectrum(link.setup.problem.unknowns, link.solution.estimate / MAS, main, **about)
     there = np.isfinite(powers[0])
     if not np.any(there):
         return {}

@@ -119,8 +119,8 @@ def difference(link: xr.Dataset, other: xr.Dataset) -> xr.Dataset:
 
     Returns:
         A dataset in mas and mas/yr with ``chi2`` of the difference, and the ``probability`` of a larger one by chance:
-        that of Hotelling's T^2 if errors are from the scatter of sources or cells, NaN for those of a link of an
-        earlier version, which does not say of how many.
+        that of Hotelling's T^2 if errors are scaled, or from the scatter of sources or cells; NaN for the latter of a
+        link of an earlier version, which does not say of how many.
 
     Raises:
         SweepError: where the links have no unknown in common, or are beside other known ones, or the orientation of
@@ -156,10 +156,14 @@ def difference(link: xr.Dataset, other: xr.Dataset) -> xr.Dataset:
     if np.any(covariance):
         chi2 = float(values @ np.linalg.solve(covariance, values))
         parts = [np.linalg.solve(covariance, part) for part in covariances]
-        spread = [np.trace(part @ part) + np.trace(part) ** 2 for part in parts]
-        dof = [float(one.samples[0]) - 1.0 if "samples" in one else np.nan for one in (link, other)]
-        if inverse := sum(np.divide(spread, dof)):  # of the degrees of freedom of a sum, Krishnamoorthy and Yu 2004
-            samples = 1.0 + len(both) * (len(both) + 1) / inverse
+        inverse = 0.0  # of the degrees of freedom of a sum, Krishnamoorthy and Yu 2004
+        for one, part in zip((link, other), parts, strict=True):
+            if one.error.attrs["kind"] == "scaled":  # all of it by one number
+                inverse += 2.0 * np.trace(part @ part) / float(one.dof)
+            else:
+                samples = float(one.samples[0]) if "samples" in one else np.nan
+                inverse += (np.trace(part @ part) + np.trace(part) ** 2) / (samples - 1.0)
+        samples = 1.0 + len(both) * (len(both) + 1) / inverse if inverse else np.inf
     return xr.Dataset(
         {
             "estimate": ("unknown", values),
