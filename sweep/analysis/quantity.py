@@ -310,7 +310,8 @@ def numeric_axes(dataset: xr.Dataset, variable: str, kinds: str = "if") -> list[
 
 def varied_parameters(dataset: xr.Dataset) -> list[str]:
     """Return the parameters in which the points of a table or a design differ, in the order of its columns."""
-    return [n for n in _columns(dataset) if len(set(dataset[n].values.tolist())) > 1]
+    cells = {name: dataset[name].values.tolist() for name in _columns(dataset)}
+    return [name for name, some in cells.items() if len({None if is_missing(cell) else cell for cell in some}) > 1]
 
 
 def _columns(dataset: xr.Dataset) -> list[str]:

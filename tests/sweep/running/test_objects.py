@@ -188,7 +188,8 @@ def test_where_a_declared_parameter_has_no_effect_there_is_one_point_without_it(
         assert ("no point has such a value of kernel" in str(ds.warnings)) == (kernel == "linear")
     both = linksweep.open(tmp_path / "l.zarr")
     assert (sorted(both.fit.to_series().dropna()), both.warnings) == ([107.0, 120.5, 122.0], "[]")
-    np.testing.assert_array_equal(linksweep.open(tmp_path / "z.zarr").gamma, [*gammas, np.nan, np.nan])
+    np.testing.assert_array_equal((rows := linksweep.open(tmp_path / "z.zarr")).gamma, [*gammas, np.nan, np.nan])
+    assert linksweep.find(rows.isel(point=[2, 3]), "fit > 100", "c")["crossings"] == 1  # they differ in c alone
     for missing in ("nan", "None"):
         code, out, err = sweep("show", tmp_path / "s.zarr", "--at", f"gamma={missing}", "--json")
         assert (code, [row["fit"] for row in json.loads(out)["rows"] if row["fit"] is not None]) == (0, [107.0]), err
