@@ -375,7 +375,8 @@ def one_axis(dataset: xr.Dataset, variables: Sequence[str], over: Sequence[str])
     variable, *others = variables
     numeric = quantity.numeric_axes(dataset, variable, "ifM")
     grid = {*dataset["status"].dims} - {POINT}
-    axes = [str(n) for n, c in dataset.coords.items() if c.ndim == 1 and c.dims[0] in grid] + numeric
+    along = {str(n): c for n, c in dataset.coords.items() if c.ndim == 1 and c.dims[0] in grid}
+    axes = [name for name, values in along.items() if values.notnull().any()] + numeric  # it may have no effect here
     # names of components only if they are asked for or alone
     further = [d for d in quantity.own_dimensions(dataset, variable) if d in dataset.coords]
     axes += further if over or not axes else []

@@ -284,3 +284,7 @@ def test_points_on_which_an_axis_has_no_effect_are_dotted_lines(tmp_path):
     [dotted] = [line for line in axes.get_lines() if line.get_linestyle() == ":"]
     assert (list(dotted.get_ydata()), axes.get_ylim()[0] < 1.0 < axes.get_ylim()[1]) == ([1.0, 1.0], True)
     assert dotted.get_color() != next(line for line in axes.get_lines() if 0.1 in line.get_ydata()).get_color()
+    together = {"experiment": lambda kernel, gamma=1.0: gamma, "grid": {"zip": [["kernel", "gamma"]]}, **options}
+    together["axes"] = {"kernel": ["rbf", "none", "linear"], "gamma": [0.1, 0.2, 0.4]}
+    ds = linksweep.run(together, tmp_path / "u.zarr", pool="serial")
+    assert linksweep.plot(ds.isel(kernel=[1, 2])).axes[0].get_xlabel() == "kernel"
