@@ -60,8 +60,8 @@ class Context:
         return there[name]
 
     def partners(self, name: str) -> Sequence[str]:
-        """Return the axes that advance together with one."""
-        return next((group for group in self.zipped if name in group), [name])
+        """Return the axes, or the columns, that advance together with one."""
+        return next((group for group in (*self.zipped, [*self.columns]) if name in group), [name])
 
 
 def _checked(check: Callable[[Any, Context], Any]) -> AfterValidator:
@@ -478,7 +478,7 @@ class ConclusionValue(Derived, frozen=True):
         fixed = {*self.where, *(name for place in quantity.places.values() for name in place), *context.changed}
         # the exponent along an axis is one number for all of its values
         fixed |= {quantity.over} if isinstance(quantity, Slope) else set()
-        for name, values in context.axes.items():
+        for name, values in {**context.axes, **context.columns}.items():
             if len(values or ()) > 1 and not fixed & {*context.partners(name)}:
                 raise ValueError(
                     f"{name} has several values; fix it with 'where', or choose the least or largest number"

@@ -64,7 +64,7 @@ def test_a_sentence_that_does_not_hold_within_three_errors_is_not_said_to(bound,
     assert concluding(unknown, "So it is: {gaia}.", gaia=GAIA)[0].startswith("So it is")
 
 
-def test_what_is_not_there_is_said_or_left_out():
+def test_what_is_not_there_is_said_or_left_out(tmp_path):
     sentences = concluding(made(status=MISSING), "It is {gaia}.", gaia=GAIA)
     assert sentences == ["No conclusion yet: numbers that it needs are missing (not done yet)."]
     for results, why in ((made(status=FAILED), "failed"), (made(np.full((2, 2), np.inf)), "not a finite number")):
@@ -78,6 +78,12 @@ def test_what_is_not_there_is_said_or_left_out():
     slope = {"slope": {"variable": "sigma_spin", "over": "v_max"}, "where": {"model": "gaia"}}
     with pytest.raises(linksweep.SweepError, match="'v_max' cannot vary, because 'where' fixes model"):
         concluding(made(), "{gaia}", grid=ZIPPED, gaia=slope)
+    table = {"experiment": lambda a, b: {"y": a * b}, "points": {"columns": {"a": [3.0, 2.0], "b": [1.0, 4.0]}}}
+    value = {"variable": "y"}, {"variable": "y", "at": {"b": 4.0}}
+    two = ({"sentences": ["{y}"], "values": {"y": {"value": one}}} for one in value)
+    with pytest.raises(linksweep.SweepError, match="a has several values; fix it"):
+        linksweep.run(table | {"conclusion": next(two)}, tmp_path / "s", pool="serial")
+    assert linksweep.answer(linksweep.run(table | {"conclusion": next(two)}, tmp_path / "s")).sentences == ["8"]
 
 
 def test_without_a_conclusion_the_range_answers(tmp_path):
