@@ -444,7 +444,7 @@ def best_shift(at: Callable[[float], float]) -> float:
     """
     at = cache(at)
     shift: float = min(STARTS, key=at)
-    for step in (8.0, 4.0, 2.0, 1.0):
+    for step in (8.0, 8.0, 4.0, 2.0, 1.0):  # twice, as the best start may be the second nearest
         shift = min((shift, shift - step, shift + step), key=at)
     for step in (1.0, 0.05, 0.02, 0.02):
         low, here, high = (at(shift + d) for d in (-step, 0.0, step))

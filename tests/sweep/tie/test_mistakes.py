@@ -161,6 +161,15 @@ def test_a_mistake_is_named(tmp_path, mistake, n, seed):
     assert any(re.search(MISTAKES[mistake][2], note) for note in result), result
 
 
+def test_epochs_are_found_to_be_years_late_whichever_years_the_search_begins_with(tmp_path):
+    satellite, _ = sky(30, 4)
+    reference = satellite.copy()
+    reference["ra"] -= 6.0 * satellite["pmra"] / 3.6e6 / np.cos(np.radians(satellite["dec"]))
+    reference["dec"] -= 6.0 * satellite["pmdec"] / 3.6e6
+    reference["ref_epoch"] = 2013.0
+    assert "epochs of the reference 3 years too late" in solved(tmp_path, satellite, reference)[0]
+
+
 @pytest.mark.parametrize(("n", "seed", "larger"), [(5, 1, 1.0), (4, 1, 20.0), slow(20, 2, 1.0), slow(60, 3, 1.0)])
 def test_a_sky_without_a_mistake_is_not_suspected(tmp_path, n, seed, larger):
     satellite, reference = sky(n, seed)
