@@ -458,9 +458,11 @@ class Reply:
 def run_on_worker(task: Task, expected: Identity, guarded: bool, memory_limit: int | None) -> Reply:
     """Run a task on the worker that this is called on, if it computes the same numbers as the client.
 
-    With ``guarded`` blocks run in a child process of at most ``memory_limit`` bytes (None: no limit).
+    With ``guarded`` blocks run in a child process of at most ``memory_limit`` bytes (None: no limit); so they do with a
+    time limit, which may end their process, on a worker without a nanny: that may be a thread of the user's session.
     """
     worker = get_worker()
+    guarded |= task.time_limit_s is not None and not worker.nanny
     here = Identity.here(task.experiment_reference, task.source_digest)
     another, result = here if expected.differences(here) else None, None
     if another is None and guarded:

@@ -43,6 +43,7 @@ LIMITED = {  # how a block may end its process, without and with limits, and wha
 LIMITS = "--time-limit 4 --memory-limit 400MB"
 POOLS = ("", "--workers 1", *(f"{pool} {LIMITS}" for pool in ("--pool serial", "--workers 2", "--pool threads")))
 CASES = [(deed, pool) for deed in ENDINGS | LIMITED for pool in POOLS if deed in ENDINGS or LIMITS in pool]
+CASES += [("no exception", "--cluster threads.toml --time-limit 4")]  # whose workers are threads of the command
 QUICK = [("SIGSEGV", "")]
 FUNCTION = """
 import ctypes, json, os, signal, sys, threading, time
@@ -81,6 +82,7 @@ print(ds.result.values, [name for name in ("bokeh", "distributed", "dask.array")
 
 def written(folder, deed, *places):
     (folder / "f.py").write_text(FUNCTION.format(deed=deed, places=places))
+    (folder / "threads.toml").write_text("class = 'distributed.LocalCluster'\noptions.processes = false\nscale = 2\n")
     return "f.py:f"
 
 
