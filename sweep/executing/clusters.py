@@ -24,15 +24,14 @@ from typing import Annotated, Any, Literal, get_args
 import dask
 from distributed import Client, Future, KilledWorker, LocalCluster, Security, SpecCluster, WorkerPlugin, get_worker, rpc
 from pydantic import AfterValidator, BaseModel, BeforeValidator, Field, ValidationError, ValidationInfo, field_validator
-from threadpoolctl import threadpool_limits
 from tornado.ioloop import PeriodicCallback
 
 from linksweep.sweep.code import provide, sendable, source_digest
 from linksweep.sweep.contract import SweepError, refused, shown, suggest
-from linksweep.sweep.executing.executor import KEEP_BYTES, ONE_THREAD, Children
-from linksweep.sweep.executing.pools import Limits, Place, Resources, available_cores
+from linksweep.sweep.executing.executor import KEEP_BYTES, Children
+from linksweep.sweep.executing.pools import ONE_THREAD, Limits, Place, Resources, available_cores
 from linksweep.sweep.executing.task import AnyJob, Executor, Failure, Identity, Task, TaskResult, other_versions
-from linksweep.sweep.executing.worker import Deadlines, compute, leave_signals_to_parent, set_environment
+from linksweep.sweep.executing.worker import Deadlines, compute, leave_signals_to_parent, one_thread, set_environment
 from linksweep.sweep.planning.accumulator import TASK_S, TASKS_IN_FLIGHT, task_seconds
 from linksweep.sweep.studies.reader import parsed, read_text
 
@@ -417,7 +416,8 @@ class TaskPlugin(WorkerPlugin):
 
     def setup(self, worker: Any) -> None:
         """Set the limits when the plugin reaches a worker; in a process of its own this runs in the main thread."""
-        self._limits = threadpool_limits(1)
+        self._limits = ExitStack()
+        self._limits.enter_context(one_thread())
         self.deadlines = Deadlines()
         if getattr(worker, "nanny", None):  # a process of its own
             os.dup2(2, 1)  # standard output goes to standard error, also that of C code and of programs it starts
@@ -426,7 +426,7 @@ class TaskPlugin(WorkerPlugin):
 
     def teardown(self, worker: Any) -> None:
         """Lift the limit of one thread."""
-        self._limits.restore_original_limits()
+        self._limits.close()
 
 
 class SourcesPlugin(WorkerPlugin):

@@ -26,8 +26,6 @@ from pickle import UnpicklingError
 from queue import SimpleQueue
 from typing import IO, Any
 
-from threadpoolctl import threadpool_limits
-
 from linksweep.sweep.code import new_process, provide, sendable
 from linksweep.sweep.contract import SweepError, refused
 from linksweep.sweep.executing import worker
@@ -67,9 +65,6 @@ FILES, FILES_EACH = 512, 6
 # Freed memory that a child's allocator keeps: arrays of some MB are made anew for each catalogue, and giving them back
 # to the system each time costs a fifth of the run.
 KEEP_BYTES = 2**28
-
-# Variables that libraries of linear algebra read as they are loaded.
-ONE_THREAD = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
 
 
 Opened = AbstractContextManager[tuple[Place, Executor]]
@@ -423,8 +418,7 @@ def _serve(channel: Connection, words: IO[bytes]) -> None:
     import faulthandler
 
     worker.leave_signals_to_parent()
-    for name in ONE_THREAD:
-        os.putenv(name, "1")  # for libraries that a block loads; `os.environ` stays the user's
+    worker.limit_threads()
     with suppress(OSError, AttributeError):  # there is only one such allocator
         for what in (-1, -3):  # M_TRIM_THRESHOLD and M_MMAP_THRESHOLD
             ctypes.CDLL(None).mallopt(what, KEEP_BYTES)
@@ -433,7 +427,7 @@ def _serve(channel: Connection, words: IO[bytes]) -> None:
     faulthandler.enable(words, all_threads=False)  # prints where the code was when the process ends
     faulthandler.register(signal.SIGALRM, words, all_threads=False, chain=True)
     deadlines = worker.Deadlines()
-    with threadpool_limits(1), suppress(EOFError):
+    with suppress(EOFError):
         while (message := channel.recv()) is not None:
             for result in _results(deadlines, *message):
                 channel.send(result)
@@ -486,7 +480,7 @@ def processes(_reference: str, workers: int, limits: Limits = NO_LIMITS) -> Iter
 
     limits = Limits(limits.time_s, limits.memory or psutil.virtual_memory().total // workers)
     words = f"on {workers} local worker {'process' if workers == 1 else 'processes'}"
-    with threadpool_limits(1), Children(workers, limits) as children:
+    with Children(workers, limits) as children:
         yield Place(words, workers), children
 
 
@@ -518,7 +512,7 @@ def threads(_reference: str, workers: int) -> Iterator[tuple[Place, Executor]]:
                 raise pair
             yield pair
 
-    with threadpool_limits(1), ThreadPool(workers) as pool:
+    with ThreadPool(workers) as pool:
         yield Place(f"on {workers} local {'thread' if workers == 1 else 'threads'}", workers), execute
 
 
@@ -530,8 +524,7 @@ def serial(_reference: str, _workers: int = 1) -> Iterator[tuple[Place, Executor
         while jobs := take(1):
             yield jobs[0], worker.compute(jobs[0].task())
 
-    with threadpool_limits(1):  # sums of products must not depend on the number of cores
-        yield Place("in this process", 1), execute
+    yield Place("in this process", 1), execute
 
 
 @contextmanager
@@ -575,7 +568,7 @@ def mapped(reference: str, resources: Resources, say: Callable[[str], None]) -> 
     A piece gives the same bits wherever it is computed; what the function raises is raised here.
     """
     opened = serial(reference) if resources == ANY_RESOURCES else resources.open(reference, say)
-    with opened as (_, execute):
+    with worker.one_thread(), opened as (_, execute):
 
         def ordered(function: Callable[..., Any], pieces: Iterable[tuple[Any, ...]]) -> Iterator[Any]:
             numbers, arguments = count(), iter(pieces)

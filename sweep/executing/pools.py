@@ -18,6 +18,9 @@ PoolName = Literal["processes", "threads", "serial"]
 
 MOST_WORKERS = 4096
 
+# Variables that libraries of linear algebra read as they are loaded.
+ONE_THREAD = ("OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+
 # Bytes that a worker needs for itself.
 MEMORY_AT_LEAST = 200 * 10**6
 

@@ -23,9 +23,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from linksweep.sweep.code import load_experiment
 from linksweep.sweep.contract import Experiment, NotFiniteError, Outcome, Point, shown
+from linksweep.sweep.executing.pools import ONE_THREAD
 from linksweep.sweep.executing.task import Captured, Failure, PointBlock, Task, TaskResult, TimeLimitError
 from linksweep.sweep.functions.results import layout_differences, same_value
 from linksweep.sweep.interrupt import SIGNALS
@@ -188,6 +190,45 @@ def leave_signals_to_parent() -> None:
     for number in (signal.SIGINT, signal.SIGHUP):
         signal.signal(number, ignored)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, SIGNALS)
+
+
+def limit_threads() -> threadpool_limits:
+    """Limit libraries of linear algebra to one thread, those too that this process loads later; return the limits."""
+    for name in ONE_THREAD:
+        os.putenv(name, "1")  # `os.environ` stays the user's
+    return threadpool_limits(1)
+
+
+# The limits of blocks under way in this process, the first of which knows what was there before.
+_limits, _changing = list[threadpool_limits](), threading.Lock()
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Limit libraries of linear algebra to one thread: sums of products must not depend on the number of cores.  Of
+    blocks at once, in several threads, the last to end lifts the limit.
+    """
+    with _changing:
+        _limits.append(limit_threads())
+        _let_other_threads_change_limits()
+    try:
+        yield
+    finally:
+        with _changing:
+            before = _limits.pop()
+            if not _limits:
+                for name in ONE_THREAD:
+                    os.unsetenv(name)
+                os.environ.update({name: os.environ[name] for name in ONE_THREAD if name in os.environ})
+                threadpool_limits(before.get_original_num_threads()["blas"])  # of what was loaded meanwhile
+                before.restore_original_limits()
+                _let_other_threads_change_limits()
+
+
+def _let_other_threads_change_limits() -> None:
+    # A thread that has set one of OpenBLAS is the only one that can, until a `with` ends in it (threadpoolctl 3.8).
+    with threadpool_limits():
+        pass
 
 
 def _set_filters(filters: list[Any]) -> None:

@@ -15,6 +15,7 @@ import xarray as xr
 from linksweep.sweep.code import code_differences
 from linksweep.sweep.contract import DIGEST_BYTES, Experiment, SweepError, converted, lost_integers, same_rows
 from linksweep.sweep.executing.task import DECIDING
+from linksweep.sweep.executing.worker import one_thread
 from linksweep.sweep.formatting import host, now
 from linksweep.sweep.functions.adapter import layout_of_record
 from linksweep.sweep.functions.results import Layout, joined, layout_refusals
@@ -84,7 +85,7 @@ def merge(places: Sequence[Where], into: Where, *, accept_code: bool = False, tr
     require_free(place, study, about)
     _require_same_bits(every, experiment.reducer.dtype)
     plan = Plan(make_grid(study) if part else Grid(study))  # the warnings of one run
-    with locked(place):
+    with one_thread(), locked(place):
         existing = run.find_store(place, study) or create_store(place, run.attributes_of(plan) | begun_by() | origin)
         store = run.open_store(existing, study, writes=True)
         store.keep_copy()

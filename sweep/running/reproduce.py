@@ -11,13 +11,12 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from threadpoolctl import threadpool_limits
 
 from linksweep.sweep.code import Code, file_of, load_experiment
 from linksweep.sweep.contract import ResultError, Status, SweepError
 from linksweep.sweep.executing.executor import Children
 from linksweep.sweep.executing.task import Task, TaskResult
-from linksweep.sweep.executing.worker import compute
+from linksweep.sweep.executing.worker import compute, one_thread
 from linksweep.sweep.planning.grid import Grid, GridPoint, describe
 from linksweep.sweep.running.run import Session, differences_of_code, records_of
 from linksweep.sweep.stores.location import Folder, Where, located
@@ -87,7 +86,7 @@ def reproduce(study: Study, dataset: xr.Dataset, point: GridPoint) -> Reproducti
     def raising(task: Task) -> Any:  # nothing is caught or captured, for the debugger
         return compute(replace(task, caught=False, repeatable=False))
 
-    with threadpool_limits(1):  # as everywhere, since the last bits depend on it
+    with one_thread():
         result, why = _alone(as_recorded(study, dataset.attrs), point, raising)
     if why:
         raise ResultError(why)

@@ -25,6 +25,7 @@ from linksweep.sweep.contract.rows import DIGEST_BYTES, Block, ledger_key, lost_
 from linksweep.sweep.executing.executor import choose_executor
 from linksweep.sweep.executing.pools import ANY_RESOURCES, Resources, available_cores
 from linksweep.sweep.executing.task import Batch, Executor, Failure, TaskResult
+from linksweep.sweep.executing.worker import one_thread
 from linksweep.sweep.formatting import counted, host, now
 from linksweep.sweep.interrupt import watched
 from linksweep.sweep.planning.accumulator import TUNED, Accumulator, Pending
@@ -887,7 +888,7 @@ def run_study(
     grid = make_grid(study)
     for sentence in grid.warnings:
         progress.say(f"warning: {sentence}")
-    with watched() as interruptions, ExitStack() as stack:
+    with one_thread(), watched() as interruptions, ExitStack() as stack:
         stack.enter_context(locked(store, break_lock=break_lock))
         session = Session.open(grid, store, writes=True, accept_code=accept_code, beside=beside)
         if session.is_left_alone:

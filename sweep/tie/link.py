@@ -13,7 +13,6 @@ import xarray as xr
 from astropy.table import Table
 from astropy.units import Unit
 from scipy.spatial.transform import Rotation
-from threadpoolctl import threadpool_limits
 
 from linksweep.core.frames import DEGREE, MAS, POLE_LIMIT, Array, LinkError, position, triad
 from linksweep.core.tie import forecast as planning, mistakes, problem as solving
@@ -23,6 +22,7 @@ from linksweep.core.unknowns import PARAMETERS, Harmonics, Objects, SpinByBin, U
 from linksweep.sweep.contract import SweepError, p_value, refused
 from linksweep.sweep.executing.executor import mapped
 from linksweep.sweep.executing.pools import ANY_RESOURCES, NO_LIMITS, Limits, Resources
+from linksweep.sweep.executing.worker import one_thread
 from linksweep.sweep.result import require_free, stored_table, write_at_once
 from linksweep.sweep.tables.columns import CORRELATIONS, Columns, unit_of
 from linksweep.sweep.tables.options import number
@@ -94,7 +94,7 @@ def solve_link(setup: Setup, asked: Options, sources: solving.Sources | None = N
         raise SweepError(f"errors {', '.join(errors)!r}: must be among {', '.join(ERRORS)}")
     unknowns, effect, noise = setup.problem.unknowns, None, None
     try:
-        with threadpool_limits(1):  # bitwise the same on any number of cores; products of blocks are small
+        with one_thread():  # products of blocks are small
             how = solving.parse_clip(asked.clip)
             if sources is None:
                 sources = solving.sources_of(setup.problem)

@@ -1,7 +1,10 @@
 """Same seed, same numbers, bitwise: whatever the workers, the order and how a study grew; the time is no result."""
 
 import json
+import os
 import random
+import subprocess
+import sys
 import time
 from contextvars import ContextVar
 from dataclasses import replace
@@ -15,13 +18,55 @@ import xarray as xr
 import linksweep
 from tests.sweep import spread
 from tests.sweep.opening import check, generators, live_study, make_grid, merge, plan_study, run, same
-from tests.tiers import slow
+from tests.tiers import PATIENCE_S, slow
 
 OTHER_RESOURCES = [("--workers", 1), ("--workers", 4), ("--pool", "threads", "--workers", 4)]
 SPREAD = {"title": "Spread", "experiment": f"{Path(spread.__file__)}:experiment"}
 SPREAD["axes"] = {"x": [0.5, 1.0, 2.0], "law": ["power", "levelling"]}
 SPREAD["sampling"] = {"n_sim": 64, "n_cat": 6, "seed": 5, "common_random_numbers": True}
 STEP = ContextVar("STEP", default=1.0)
+THREADS = """
+import time
+from pathlib import Path
+from threadpoolctl import threadpool_info
+from linksweep import Experiment, Output, Parameter
+def threads():
+    return max(one["num_threads"] for one in threadpool_info())
+def after(name):
+    while not Path(name).exists():
+        time.sleep(0.01)
+def evaluate(points, n_sim, rng, catalogue_rng):
+    import scipy.linalg  # whose library is loaded in a block
+    x = points[0]["x"]
+    Path(f"{x}").touch()
+    after({0: "1", 2: "short is over"}.get(x, "."))
+    return {"threads": [n_sim * threads()]}
+X = Parameter("x", "int", None, "when it is computed")
+OUT = Output("here"), Output("later")
+def summarise(sums, n, n_cat):
+    return {"here": sums["threads"] / n, "later": n * 0.0 + threads()}
+experiment = Experiment("threads", 1, (X,), {"threads": ()}, OUT, evaluate, summarise)
+"""
+RUNS = """
+import linksweep, m, pathlib, threading
+from linksweep.sweep.running.merge import merge
+def run(name, x, **more):
+    linksweep.run("m.py:experiment", name, axes={"x": x}, sampling={"n_sim": 600}, pool="serial", **more)
+before = m.threads()
+short, long = (threading.Thread(target=run, args=one) for one in (("short", [0]), ("long", [1, 2])))
+short.start()
+m.after("0")
+long.start()
+short.join()
+pathlib.Path("short is over").touch()
+long.join()
+[run("s", [3], part=f"{k}/2") for k in (1, 2)]
+merge(["s.part-1-of-2", "s.part-2-of-2"], "s")
+for name in ("short", "long", "s"):
+    ds = linksweep.open(name)
+    assert set(ds.here.values) | set(ds.later.values) == {1.0}, (name, ds.here.values, ds.later.values)
+assert m.threads() == before
+"""
 
 
 @pytest.mark.parametrize("resources", [("--workers", 2), *map(slow, OTHER_RESOURCES)], ids=str)
@@ -70,6 +115,12 @@ def test_what_is_set_in_the_thread_of_a_run_holds_wherever_it_computes(tmp_path,
         ds = linksweep.run(f, tmp_path / "s.zarr", axes={"x": [1, 2]}, pool=pool)
     STEP.reset(token)
     assert [ds[name].values.tolist() for name in "abc"] == [[2.0, 2.0], ["0.1429", "0.2857"], ["raise", "raise"]]
+
+
+def test_sums_of_products_have_one_thread_whatever_else_goes_on(tmp_path):
+    (tmp_path / "m.py").write_text(THREADS)
+    environment = {**os.environ, "OPENBLAS_NUM_THREADS": "2"}
+    subprocess.run([sys.executable, "-c", RUNS], cwd=tmp_path, env=environment, check=True, timeout=PATIENCE_S)
 
 
 def test_blocks_add_up_whoever_computed_them(tmp_path):
