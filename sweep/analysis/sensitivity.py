@@ -24,7 +24,7 @@ from scipy.interpolate import make_interp_spline
 
 from linksweep.sweep.analysis import quantity
 from linksweep.sweep.analysis.tables import derived
-from linksweep.sweep.contract import Array, Parameter, Status, SweepError
+from linksweep.sweep.contract import FEWEST_SAMPLES, Array, Parameter, Status, SweepError
 from linksweep.sweep.formatting import units_of
 from linksweep.sweep.studies.points import DESIGNS, MORRIS_LEVELS, read_range, salib, unit_cube
 from linksweep.sweep.studies.study import POINT, POINT_TABLE
@@ -111,8 +111,10 @@ def sensitivity(dataset: xr.Dataset, output: str | None = None, seed: int = 0) -
     points = math.prod(dataset.sizes[d] for d in method.over)
     notes = [f"sensitivity of {output} by {method.name}, from {points:,} points", *method.notes]
     if (np.isnan(sigma) & np.isfinite(index)).any():
-        why = "points share random numbers, or their Monte-Carlo errors are not known"
-        notes.append(f"{why}: errors of the indices are not known, and noise counts as variation")
+        shared = "points share random numbers, or their Monte-Carlo errors are not known"
+        noisy = f"{shared}: errors of the indices are not known, and noise counts as variation"
+        few = f"errors are not known below {FEWEST_SAMPLES} base points or trajectories"
+        notes.append(few if POINT in method.over else noisy)
     if unknown := np.isnan(index).all(axis=1).sum():
         where = f" at {unknown} of {len(made)} places" if len(made) > 1 else ""
         notes.append(f"{output} does not vary{where}, or no more than its errors: no indices")
@@ -290,7 +292,8 @@ def saltelli_indices(values: Array, parameters: int, seed: int = 0) -> list[Arra
     if not np.ptp(values) > 0.0:
         return [np.full(parameters, np.nan)] * 4
     keys = ("S1", "S1_conf", "ST", "ST_conf")
-    return _by_salib("sobol", parameters, keys, values, seed=seed, calc_second_order=False)
+    base = len(values) // (parameters + 2)
+    return _by_salib("sobol", parameters, keys, base, values, seed=seed, calc_second_order=False)
 
 
 def morris_effects(values: Array, places: Array, seed: int = 0) -> list[Array]:
@@ -306,16 +309,22 @@ def morris_effects(values: Array, places: Array, seed: int = 0) -> list[Array]:
     longer = np.where(np.isclose(steps, 1.0), 0.0, 1.0 / steps - 1.0)
     paths[:, 1:] += np.cumsum(np.diff(paths, axis=1) * longer, axis=1)
     keys = ("mu_star", "mu_star_conf", "mu", "sigma")
-    return _by_salib("morris", places.shape[1], keys, places, paths.ravel(), seed=seed, num_levels=MORRIS_LEVELS)
+    data = places, paths.ravel()
+    return _by_salib("morris", places.shape[1], keys, len(paths), *data, seed=seed, num_levels=MORRIS_LEVELS)
 
 
 def _by_salib(
-    method: str, parameters: int, keys: Sequence[str], *data: Array, seed: int, **options: Any
+    method: str, parameters: int, keys: Sequence[str], samples: int, *data: Array, seed: int, **options: Any
 ) -> list[Array]:
+    """Return results of SALib by their ``keys``, with bootstrap errors enlarged as so few samples need it: their
+    scatter is divided by n, not n - 1.
+    """
+    widened = math.sqrt(samples / (samples - 3.0)) if samples >= FEWEST_SAMPLES else math.nan
     options |= {"num_resamples": RESAMPLES, "conf_level": ONE_SIGMA, "seed": seed + 1}  # SALib takes 0 for no seed
     with warnings.catch_warnings(action="ignore"):  # SALib warns that there are no groups
         estimated = salib(f"analyze.{method}").analyze(unit_cube(parameters), *data, **options)
-    return [np.ma.getdata(estimated[key]).astype(float) for key in keys]
+    factors = [widened if key.endswith("_conf") else 1.0 for key in keys]
+    return [np.ma.getdata(estimated[key]).astype(float) * by for key, by in zip(keys, factors, strict=True)]
 
 
 def first_order(values: Array, places: Sequence[Array], even: bool = False, seed: int = 0) -> tuple[Array, Array]:

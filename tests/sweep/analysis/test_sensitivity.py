@@ -8,7 +8,7 @@ import xarray as xr
 
 import linksweep
 from linksweep import SweepError, experiment, sensitivity
-from linksweep.sweep.analysis.sensitivity import first_order, indices_of_grid, saltelli_indices
+from linksweep.sweep.analysis.sensitivity import first_order, indices_of_grid, morris_effects, saltelli_indices
 from linksweep.sweep.studies.points import DESIGNS
 from tests.tiers import few, slow
 
@@ -187,15 +187,15 @@ def test_the_command_prints_writes_and_draws(tmp_path, sweep):
 
 
 def test_errors_of_saltelli_designs_are_one_sigma():
-    """Half of SALib's intervals of 95 % are 1.96 standard deviations of the same resamples."""
+    """Half of SALib's intervals of 95 % are 1.96 standard deviations of the same resamples, with n/(n - 3)."""
     sobol = pytest.importorskip("SALib.analyze.sobol")
     unit = np.asarray(DESIGNS["saltelli"].draw(64, 3, np.random.default_rng(1)))
     values = ishigami(*(2 * PI * unit.T - PI))
     problem = {"num_vars": 3, "names": list(BOX), "bounds": [[0.0, 1.0]] * 3}
     theirs = sobol.analyze(problem, values, calc_second_order=False, num_resamples=200, conf_level=0.95, seed=1)
     _, first, _, total = saltelli_indices(values, 3, seed=0)
-    assert first == pytest.approx(theirs["S1_conf"] / 1.959964, rel=1e-5)
-    assert total == pytest.approx(theirs["ST_conf"] / 1.959964, rel=1e-5)
+    assert first == pytest.approx(theirs["S1_conf"] / 1.959964 * np.sqrt(64 / 61), rel=1e-5)
+    assert total == pytest.approx(theirs["ST_conf"] / 1.959964 * np.sqrt(64 / 61), rel=1e-5)
 
 
 def random_points(seed, n=128):
@@ -213,8 +213,15 @@ def noisy_grid(seed):
     return indices_of_grid(A_TIMES_B + noise, np.full(noise.shape, 5.0), [False, False], seed)
 
 
+def morris(seed):
+    unit = np.asarray(DESIGNS["morris"].draw(6, 3, np.random.default_rng(seed)))
+    a, b, c = unit.T
+    return morris_effects(2.0 * a + b**3 + 3.0 * a * c, unit)[:2]
+
+
 COVERED = [(saltelli, 60, (ALONE, TOTAL), 0.88), (noisy_grid, 150, WITHOUT_NOISE, 0.88)]
 COVERED += [(random_points, 200, (ALONE,), 0.9), (lambda seed: random_points(seed, 512), 200, (ALONE,), 0.9)]
+COVERED += [(morris, 200, (np.array([3.5, 17 / 18, 1.5]),), 0.88)]
 
 
 @pytest.mark.slow
