@@ -529,8 +529,10 @@ def read_points(
             sizes = ", ".join(f"{name} has {n}" for name, n in lengths.items()) or "there are none"
             raise ValueError(f"needs columns with the same number of values, from 1 to {MAX_VALUES:,}; {sizes}")
     if len(problems.sentences) == before and asked.derive is not None:
-        settings = {n: v for n, v in (experiment.defaults() | form.fixed).items() if n not in form.axes}
+        settings = {n: v for n, v in experiment.defaults().items() if n not in form.axes}
         with problems.at(("points", "derive")):
+            fixed = {n: v for n, v in form.fixed.items() if n in settings}
+            settings |= {n: without_unit(v, experiment.parameter(n)) for n, v in fixed.items()}
             columns |= _derived(asked.derive, columns, settings, values, code)
             origin["derive"] = asked.derive
     if len(problems.sentences) > before:

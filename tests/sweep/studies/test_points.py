@@ -35,7 +35,7 @@ def rates(row):
     return {"k": int(10 * row["beta"]), "solver": "b" if row["beta"] > 0.4 else "a"}
 wrong, again = lambda row: [1], lambda row: {"beta": 1.0}
 fails, bad = lambda row: {"k": 1 / (row["beta"] - 0.2)}, lambda row: {"k": -0.5}
-crossed = lambda row: {"solver": "ab"[row["k"]]}
+crossed, daily = lambda row: {"solver": "ab"[row["k"]]}, lambda row: {"k": round(row["beta"])}
 """
 
 
@@ -226,6 +226,8 @@ def test_a_function_derives_further_columns(tmp_path, read, problems_of):
     said |= {"bad": "row 1: k = -0.5: must be an integer", "again": "again returns {'beta': 1.0}", "none": "none"}
     for name, problem in said.items():
         assert problem in problems_of(points | {"derive": f"{tmp_path}/own.py:{name}"})[0]
+    hourly = {"columns": {"solver": ["a"]}, "derive": f"{tmp_path}/own.py:daily"}
+    assert read(hourly, fixed={"beta": 2.0 / u.h})["k"] == [48]
     points["derive"] = f"{tmp_path}/own.py:crossed"  # what is an axis differs from point to point
     assert "crossed raises KeyError: 'k'" in problems_of(points, axes={"k": [1, 2]})[0]
 
