@@ -90,6 +90,7 @@ class Children:
         self._new = partial(_Child, forked, limits.memory, expected)
         self._children = [self._new() for _ in range(number)]
         self._second: _Child | None = None  # makes a first call again, beside the others
+        self._looked = time.monotonic()
 
     def __enter__(self) -> "Children":
         return self
@@ -157,6 +158,9 @@ class Children:
     def _that_answer(self, busy: Iterable["_Child"]) -> list["_Child"]:
         """Return which children have answered or ended; end those that overfill their memory."""
         channels: dict[Any, _Child] = {child.channel: child for child in busy}
+        before, self._looked = self._looked, time.monotonic()
+        for child in busy if self._looked > before + worker.GRACE_S else ():
+            child.trial.was_stopped = True
         if ready := wait(list(channels), LOOK_EVERY_S):
             return [channels[channel] for channel in ready]
         for child in busy:
@@ -170,15 +174,17 @@ class _Trial:
 
     ``careful`` is a task of which a child has died, so that each result is to be sent at once: else nobody knows how
     far it came.  ``inside`` counts the points that are left of a unit which was taken apart.  ``again`` is the task of
-    making its first call once more.
+    making its first call once more.  What ``was_stopped`` together with this process, by SIGSTOP or a batch system, may
+    have reached its time limit only for that.
     """
 
     def __init__(self, task: Task) -> None:
         self.task = task
         self.units, self.results = deque(task.units), list[TaskResult]()
-        self.careful, self.ended = task.time_limit_s is not None, False
+        self.careful, self.ended, self.was_stopped = task.time_limit_s is not None, False, False
         self.again: Task | None = None
         self.inside = self._deaths = 0
+        self._begun = time.monotonic()
 
     def rest(self) -> Task:
         """Return what a child is to compute next: of a unit that was taken apart its points alone."""
@@ -186,7 +192,7 @@ class _Trial:
 
     def take(self, result: TaskResult) -> None:
         """Add the result of the first units."""
-        self._deaths = 0
+        self._deaths, self._begun, self.was_stopped = 0, time.monotonic(), False
         self.results.append(result)
         units, rows = list[PointBlock](), len(result.seconds)
         self.inside = max(0, self.inside - rows)
@@ -202,17 +208,18 @@ class _Trial:
 
         Then the task ends: its other blocks are given out again, but for those of this point, which would cost as much.
         """
-        unit = self.units[0]
-        if not self.careful:
+        if not self.units:  # only the end of the task was left to be said
+            self.ended = True
+        elif not self.careful:
             self.careful = True
-        elif len(unit.points) > 1:  # one of those that share the draw is to blame
+        elif len((unit := self.units[0]).points) > 1:  # one of those that share the draw is to blame
             self.units.popleft()
             self.units.extendleft(replace(unit, points=(point,)) for point in reversed(unit.points))
             self.inside = len(unit.points)
         else:
             self._deaths += 1
-            if death.kind == "time limit" or self._deaths >= TRIES:
-                self.take(TaskResult.failed(1, death))
+            if (death.kind == "time limit" and not self.was_stopped) or self._deaths >= TRIES:
+                self.take(TaskResult.failed(1, death, time.monotonic() - self._begun))
                 self.ended = not self.inside
 
     def result(self) -> TaskResult:
@@ -282,14 +289,14 @@ class _Child:
 
     def begin(self, task: Task) -> None:
         """Give the process a task."""
-        self._trial = _Trial(task)
+        self.trial = _Trial(task)
         self._go_on()
 
     def _go_on(self) -> None:
         """Send what is left of the task, to another process where this one has ended."""
-        self.start(self._trial.task)
+        self.start(self.trial.task)
         if self._is_ready:  # else when it is
-            self.send((self._trial.rest(), self._trial.careful))
+            self.send((self.trial.rest(), self.trial.careful))
 
     def send(self, message: Any) -> None:
         """Send a message; a process that has ended is noticed when its answer is waited for."""
@@ -302,7 +309,7 @@ class _Child:
 
         Raises SweepError for a new process that cannot load the code or has another one.
         """
-        trial = self._trial
+        trial = self.trial
         try:
             if not self.channel.poll():
                 raise EOFError
@@ -427,11 +434,18 @@ def _serve(channel: Connection, words: IO[bytes]) -> None:
     faulthandler.enable(words, all_threads=False)  # prints where the code was when the process ends
     faulthandler.register(signal.SIGALRM, words, all_threads=False, chain=True)
     deadlines = worker.Deadlines()
+    # Where blocks leave their files open, another process takes the place of this one halfway to the most that may be.
+    most = (channel.fileno() + resource.getrlimit(resource.RLIMIT_NOFILE)[0]) // 2
     with suppress(EOFError):
         while (message := channel.recv()) is not None:
             for result in _results(deadlines, *message):
                 channel.send(result)
             channel.send(None)
+            with suppress(OSError):  # no file is left
+                os.close(lowest := os.dup(channel.fileno()))
+                if lowest < most:
+                    continue
+            break
 
 
 def _results(deadlines: worker.Deadlines, task: Task, careful: bool) -> Iterator[TaskResult]:

@@ -200,9 +200,9 @@ class TaskResult:
     again: bool = False
 
     @classmethod
-    def failed(cls, rows: int, reason: Failure) -> "TaskResult":
-        """Return a result of so many rows, all failed for the ``reason``."""
-        return cls(np.zeros(rows), failures=dict.fromkeys(range(rows), reason))
+    def failed(cls, rows: int, reason: Failure, seconds: float = 0.0) -> "TaskResult":
+        """Return a result of so many rows, each of which failed for the ``reason`` after so many ``seconds``."""
+        return cls(np.full(rows, seconds), failures=dict.fromkeys(range(rows), reason))
 
     @classmethod
     def joined(cls, results: "Sequence[TaskResult]") -> "TaskResult":

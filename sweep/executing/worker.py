@@ -273,6 +273,8 @@ class Deadlines:
     def within(self, seconds: float | None) -> Iterator[None]:
         """Raise TimeLimitError in this block after ``seconds``; `GRACE_S` later the system ends the process with
         SIGALRM, even if the code never releases the interpreter's lock.
+
+        For the exception, time in which the process was stopped does not count, but for a tenth of the limit.
         """
         if seconds is None:
             yield
@@ -285,20 +287,19 @@ class Deadlines:
             ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread), argument)
 
         def ring() -> None:
+            any(over.wait(seconds / 10.0) for _ in range(10))
             with lock:
                 if not over.is_set():
                     rung.set()
                     raised(TimeLimitError)
 
-        timer = threading.Timer(seconds, ring)
-        timer.daemon = True
+        timer = threading.Thread(target=ring, daemon=True)
         try:
             self._set(thread, time.monotonic() + seconds + GRACE_S)
             timer.start()
             yield
         finally:
             try:
-                timer.cancel()
                 with lock:
                     over.set()
                     if rung.is_set():  # else Python 3.11 would hang where it then traces, as for coverage

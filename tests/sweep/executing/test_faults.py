@@ -72,13 +72,14 @@ def lines_until(words, process):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fate", [(signal.SIGKILL,), (signal.SIGSTOP, signal.SIGCONT)], ids=["killed", "stalled"])
+@pytest.mark.parametrize("fate", ["killed", "stalled", "all stalled, with a time limit"])
 def test_a_worker_that_is_killed_or_stalls_costs_nothing_but_time(start, tmp_path, reference, fate):
-    process = start("--workers", 2)
-    worker = workers_below(process.pid)[0]
-    for number in fate:
-        os.kill(worker, number)
-        time.sleep(5 * (number == signal.SIGSTOP))
+    process = start("--workers", 2, *(["--time-limit", 2] if "limit" in fate else []))
+    some = workers_below(process.pid)
+    for number in [signal.SIGKILL] if fate == "killed" else [signal.SIGSTOP, signal.SIGCONT]:
+        for pid in [process.pid, *some] if "all" in fate else some[:1]:
+            os.kill(pid, number)
+        time.sleep(6 * (number == signal.SIGSTOP))
     to_its_end(process)
     same(tmp_path / "s.zarr", reference)
 
