@@ -511,8 +511,9 @@ class DaskDriver:
             with suppress(OSError, TimeoutError):
                 self.client.cancel([one.future for one in self._in_flight.values()])
 
-    def prepare(self) -> None:
-        """Wait for a worker, bring the workers what they need, and compare them with the client.
+    def prepare(self, troubles: int = 0) -> None:
+        """Wait for a worker, bring the workers what they need, and compare them with the client; again if there were
+        ``troubles``, as a worker left meanwhile.
 
         Raises SweepError with a list where a worker would compute other numbers.
         """
@@ -530,7 +531,13 @@ class DaskDriver:
         except SweepError:
             raise
         except Exception as error:  # whatever keeps a worker from importing what it is sent
-            raise (self._unable(error) if self.client.status == "running" else self._gone()) from error
+            if self.client.status != "running":
+                raise self._gone() from error
+            if not isinstance(error, OSError) or troubles + 1 >= MAX_ATTEMPTS:
+                raise self._unable(error) from error
+            time.sleep(PAUSE_S)
+            self.prepare(troubles + 1)
+            return
         problems = []
         for worker, answer in sorted(answers.items()):
             if isinstance(answer, Identity):

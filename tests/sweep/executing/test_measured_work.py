@@ -106,8 +106,15 @@ def failing(monkeypatch):
 
 
 @pytest.mark.parametrize("error", [None, *ERRORS])
-def test_an_error_inside_dask_is_no_points(study, coin_store, tmp_path, dask, failing, error):
-    sentences = Sentences()
+def test_an_error_inside_dask_is_no_points(study, coin_store, tmp_path, dask, failing, monkeypatch, error):
+    sentences, register, gone = Sentences(), Client.register_plugin, iter([OSError("a worker left meanwhile")] * 2)
+
+    def registered(*arguments):
+        for trouble in gone:
+            raise trouble
+        register(*arguments)
+
+    monkeypatch.setattr(Client, "register_plugin", registered)
     failing(3 if error else 4, error)
     dataset, failures = run_study(study, tmp_path / "s.zarr", dask, sentences)
     assert not failures
