@@ -473,7 +473,7 @@ def _lines(one: "Watched", width: int) -> "Iterable[Text]":
 
     yield Text(harmless(f"{one.title} ({one.location}): {one.state}"), COLOURS.get(one.state, "bold"))
     yield Text(harmless(", ".join(filter(None, [one.progress, one.speed, one.words]))))
-    for row in one.tiles(MOST_ROWS * width, width):
+    for row in one.tiles(MOST_ROWS * width, width, MOST_ROWS):
         times = 2 if 2 * len(row) <= width else 1
         yield Text.assemble(*((times * _mark(tile), COLOURS.get(tile.state, "dim")) for tile in row))
     for points, place, record in one.reasons[:NAMED]:

@@ -520,7 +520,7 @@ class Shown:
     def look(self) -> None:
         """Look at the store."""
         self.watched.look()
-        self.tiles = self.watched.tiles(MOST_TILES, MOST_TILES)
+        self.tiles = self.watched.tiles(MOST_TILES, MOST_TILES, MOST_TILES)
 
     def draw(self) -> bool:
         """Draw its results if they are new and it is time; return whether they were."""

@@ -7,7 +7,7 @@ import logging
 import re
 import sys
 import time
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass
 from typing import Any, TextIO
@@ -232,7 +232,7 @@ NOTEBOOK_S = 0.5
 
 class Eta:
     """Estimates the time left, with all times in seconds of one clock: the seconds that the work which is left takes if
-    a unit of cost takes as long as so far, divided by how much was done at once in the last half of the run.
+    a unit of cost takes as long as so far, divided by how much was done at once in the last half of the run, or more.
 
     There are at most ``workers`` workers if that is known.  A first call in a process may have imported modules: it
     tells nothing of what is left.
@@ -249,8 +249,9 @@ class Eta:
     def __init__(self, workers: int | None = None) -> None:
         """Know nothing yet."""
         self._workers = float("inf") if workers is None else max(1, workers)
-        self._cost = self._busy = self._longest = self._begun = self._since = 0.0
-        self._recent: deque[tuple[float, float]] = deque()  # when tasks ended, and their seconds
+        self._cost = self._busy = self._longest = self._begun = self._last = 0.0
+        # Two spans up to now: since when, the seconds of the tasks that have ended in it, and how many these are.
+        self._recent = self._next = (0.0, 0.0, 0)
 
     def take(self, now: float, cost: float, seconds: float, cold: float = 0.0, rows: int = 1) -> None:
         """Count a task's result that came ``now`` after ``seconds`` on its worker; ``cold`` of them for the first of
@@ -259,28 +260,30 @@ class Eta:
         if not (usual := 1.0 - (1.0 / rows if cold else 0.0)):
             return
         seconds = max(seconds - cold, 1e-9)
-        if not self._recent:
-            self._begun = self._since = now - seconds
+        if not self._recent[2]:
+            self._begun = now - seconds
+            self._recent = self._next = (self._begun, 0.0, 0)
         self._cost += usual * cost
         self._busy += seconds
         self._longest = max(self._longest, seconds)
-        self._recent.append((now, seconds))
+        self._last = now
+        self._recent, self._next = ((t, s + seconds, n + 1) for t, s, n in (self._recent, self._next))
         # Workers come and go, so what is long past does not count; but tasks that end together must not look like more.
-        while self._recent[0][0] < now - max(0.5 * (now - self._begun), 3.0 * self._longest):
-            self._since, _ = self._recent.popleft()
+        if now - self._next[0] > max(self._next[0] - self._begun, 3.0 * self._longest):
+            self._recent, self._next = self._next, (now, 0.0, 0)
 
     def left(self, now: float, cost: float) -> float | None:
         """Return the seconds left for work of a cost, never negative; None while nothing is known but the time of first
         calls.
         """
-        if not self._recent:
+        since, busy, tasks = self._recent
+        if not tasks:
             return None
-        last, busy = self._recent[-1][0], sum(seconds for _, seconds in self._recent)
-        elapsed = max(last - self._since, 1e-9)
-        half = 0.5 * min(busy / len(self._recent), elapsed)  # of a task, which all others are at on average
+        elapsed = max(self._last - since, 1e-9)
+        half = 0.5 * min(busy / tasks, elapsed)  # of a task, which all others are at on average
         at_once = min((busy - half) / (elapsed - half), self._workers)
         needed = max(cost, 0.0) * self._busy / max(self._cost, 1e-9) / max(at_once, 1e-9)
-        return max(needed - max(now - last, 0.0), 0.5 * needed)
+        return max(needed - max(now - self._last, 0.0), 0.5 * needed)
 
 
 @dataclass(frozen=True)

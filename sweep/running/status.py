@@ -22,7 +22,7 @@ from linksweep.sweep.planning.union import rounds_of
 from linksweep.sweep.running.progress import Reasons
 from linksweep.sweep.stores.integrity import MANIFEST, ROOT, STORE, newest
 from linksweep.sweep.stores.ledger import Record, read_failures, read_keys
-from linksweep.sweep.stores.location import Location, Where, holder, located, reading
+from linksweep.sweep.stores.location import Holder, Location, Where, holder, located, reading
 from linksweep.sweep.stores.store import CUT_SHORT, UNFINISHED, OpenStore, find_root, is_new, manifest_of, store_at
 from linksweep.sweep.studies.record import recorded_study
 from linksweep.sweep.studies.study import LOST, PART, Part, in_ranges
@@ -216,6 +216,7 @@ class Watched:
         self.location = located(where)
         self.state, self.words, self.title = "", "", self.location.name
         self.opened: OpenStore | None = None
+        self._runs: Holder | None = None
         self._forget()
 
     def _forget(self) -> None:
@@ -242,6 +243,8 @@ class Watched:
         try:
             with reading(self.location):
                 runs = holder(self.location)
+                if runs != self._runs:  # the speed is that of one run, without the time before it
+                    self._runs, self._ended, self._seen = runs, math.inf, []
                 self._read()
             if self.opened is not None and self._points is not None:
                 self.state, self.words = _state_of(runs, self.status, self._is_written)
@@ -328,8 +331,8 @@ class Watched:
             return speed
         return f"{100 * (1 - after / self._points.cost.sum()):.0f} % of the work, {speed}, about {in_words(left)} left"
 
-    def tiles(self, most: int, across: int) -> list[list[Tile]]:
-        """Return about ``most`` tiles, in rows of at most ``across`` along the last dimension.
+    def tiles(self, most: int, across: int, most_rows: int) -> list[list[Tile]]:
+        """Return about ``most`` tiles, in at most ``most_rows`` of at most ``across`` along the last dimension.
 
         A single row goes on in the next line; rows of excluded points are left out.
         """
@@ -339,7 +342,7 @@ class Watched:
         columns = grid.shape[-1] if grid.shape else 1
         rows = len(grid) // columns
         wide = math.ceil(columns / min(most if rows == 1 else across, max(FEWEST_ACROSS, most // rows)))
-        high = math.ceil(rows / max(1, most // math.ceil(columns / wide)))
+        high = math.ceil(rows / max(1, min(most_rows, most // math.ceil(columns / wide))))
         down, along = np.arange(0, rows, high), np.arange(0, columns, wide)
         if len(self._places) != len(down) * len(along):
             first = (down[:, None] * columns + along).reshape(-1)
