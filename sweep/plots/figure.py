@@ -738,6 +738,7 @@ def points_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]
 
 def pairs_figure(dataset: xr.Dataset, variables: list[str], over: Sequence[str]) -> Figure:
     """Return a figure of parameters in pairs, coloured by a variable."""
+    dataset = quantity.in_readable_units(dataset)
     variable, parameters = variables[0], _parameters(dataset, over, MOST_PAIRED)
     further = [str(d) for d in dataset[variable].dims if d != POINT and dataset.sizes[d] > 1]
     if further or len(parameters) < 2:

@@ -238,11 +238,12 @@ def test_points_are_drawn_over_each_parameter_and_never_joined_crossed_axes_are_
     assert (len(labels), {line.get_linestyle() for line in lines}) == (4, {"None"})
     assert texts(figure.legends[0])[:2] == ["scale = 1", "scale = 2"]
     named = points.isel(scale=1).assign_coords(k=("point", ["a", "b"] * 8))
+    named["y"] = (1e-3 * named["y"]).assign_attrs(units="m")  # drawn in mm
     figure = linksweep.plot(named, kind="pairs")  # a panel for every two parameters
     labels, lines = drawn(figure)
     assert (labels[:-1], lines) == ([("", "$k$"), ("$x$", "kind"), ("$k$", "")], [])  # the last is the scale of colours
     assert np.array_equal(np.sort(figure.axes[0].collections[0].get_offsets()[:, 0]), np.sort(points.x.values))
-    assert np.array_equal(np.sort(figure.axes[0].collections[0].get_array()), np.sort(points.y.values[:, 1]))
+    assert np.allclose(np.sort(figure.axes[0].collections[0].get_array()), np.sort(points.y.values[:, 1]))
     x, y = figure.axes[3].collections[0].get_offsets().T  # where both are names, the points are on no line
     assert abs(np.corrcoef(x - x.round(), y - y.round())[0, 1]) < 0.5 >= 2.0 * abs(x - x.round()).max()
 
