@@ -393,14 +393,9 @@ def source_discrepancies(problem: Problem, estimate: Array) -> Array:
     return np.maximum(squares, 0.0)
 
 
-def source_counts(problem: Problem) -> Array:
-    """Return the number of observations of each source less that of its free parameters; shape (S,)."""
-    return _of_each(problem, lambda left: left.count)
-
-
-def source_averages(problem: Problem) -> Array:
-    """Return the average of Q_i of each source if the errors are right; shape (S,)."""
-    return _of_each(problem, lambda left: left.expected)
+def source_numbers(problem: Problem, name: str) -> Array:
+    """Return one of the numbers of `Eliminated` for each source: its ``count``, or what is ``expected``; shape (S,)."""
+    return _of_each(problem, lambda left: np.asarray(getattr(left, name)))
 
 
 def _of_each(problem: Problem, value: Callable[[Eliminated], Array]) -> Array:
@@ -750,12 +745,12 @@ class StreamedSources:
     @cached_property
     def count(self) -> Array:
         """The number of observations of each source."""
-        return self._of_each(source_counts, kind=np.float32)  # whole numbers, exact as float32
+        return self._of_each(source_numbers, "count", kind=np.float32)  # whole numbers, exact as float32
 
     @cached_property
     def expected(self) -> Array:
         """The average of Q_i of each source."""
-        return self._of_each(source_averages)
+        return self._of_each(source_numbers, "expected")
 
     def solve(self, factors: Array | Flags) -> Solution:
         """Return the solution with a factor of the weight of each source."""
