@@ -131,7 +131,8 @@ def _sentences(part: xr.Dataset, variable: str, unit: str, decided: str | None) 
         yield "It is a finite number at no point that is done."
         return
     if formatting.is_truth(array):
-        yield f"It is True at {int(values[known].sum()):,} of {formatting.counted(int(known.sum()), 'point')}."
+        noun = "value" if components else "point"
+        yield f"It is True at {int(values[known].sum()):,} of {formatting.counted(int(known.sum()), noun)}."
         yield from filter(None, [decided])
         return
     errors = quantity.sigmas(part, variable, [*axes, *components])

@@ -89,6 +89,8 @@ def test_what_is_not_there_is_said_or_left_out(tmp_path):
 def test_without_a_conclusion_the_range_answers(tmp_path):
     two = linksweep.run(lambda x=1.0: {"a": x, "b": x}, tmp_path / "s", pool="serial")
     assert [one[:2] for one in said(two)] == ["a:", "b:"]
+    flags = linksweep.run(lambda x=1: {"a": [True, x > 1]}, tmp_path / "t", pool="serial")
+    assert said(flags) == ["a: It is True at 1 of 2 values."]
     assert said(made())[0].startswith("sigma_spin (RMS error): It is between 0.5")
     assert "not known" in said(made(error=np.nan))[0]
     with pytest.raises(linksweep.SweepError, match="the attribute 'conclusion' cannot be read"):
