@@ -234,10 +234,11 @@ class Plan:
         except Exception:  # raised by a user's function: the point ends here, and `Accumulator.failing` says why
             return parts, False
         with np.errstate(divide="ignore", invalid="ignore"):
-            pairs = study.experiment.errors_of_headline()
-            if all(np.isnan(results[value]).all() for value, _ in pairs):  # nothing that is measured determines them
-                others = [(name, f"{name}_mc_error") for name in results if f"{name}_mc_error" in results]
-                pairs = [pair for pair in others if not np.isnan(results[pair[0]]).all()][:1] or pairs
+            headline = study.experiment.errors_of_headline()
+            others = [(name, f"{name}_mc_error") for name in results if f"{name}_mc_error" in results]
+            measured = {name for name, _ in headline + others if not np.isnan(results[name]).all()}
+            pairs = [pair for pair in headline if pair[0] in measured]
+            pairs = pairs or [pair for pair in others if pair[0] in measured][:1] or headline
             errors = np.concatenate([np.abs(results[error] / results[value]).reshape(-1) for value, error in pairs])
         unknown = n_sim < KNOWN_BY and bool(np.isnan(errors).any())
         worst = float(np.max(errors, where=~np.isnan(errors), initial=0.0))

@@ -96,6 +96,8 @@ def test_a_link_of_positions_alone_is_as_precise_as_its_orientation(tmp_path):
     dataset = linksweep.run(study | {"sampling": {"n_sim": 64, "precision": 0.05}}, tmp_path / "s", pool="serial")
     assert dataset["sigma_orientation_mc_error"].item() < 0.05 * dataset["sigma_orientation"].item()
     assert dataset["n_sim_done"].item() < 512  # 1/(6 0.05^2) = 67, or up to three times as many
+    timing = linksweep.load_study("pulsar-timing", ["n_sim=64", "precision=0.1"], ["clip=none", "weights=equal"])
+    assert linksweep.run(timing, tmp_path / "t", pool="serial")["n_sim_done"].item() < 512
 
 
 def test_what_is_alike_at_all_realisations_has_no_error_and_does_not_hold_up_a_precision(tmp_path):
