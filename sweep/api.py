@@ -4,7 +4,7 @@ import base64
 import io
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, chdir, nullcontext
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -22,7 +22,7 @@ from linksweep.sweep.result import Result, open_result
 from linksweep.sweep.running import progress as watching
 from linksweep.sweep.running.reproduce import verify as verified
 from linksweep.sweep.running.run import ALL, Beside, run_study, with_part
-from linksweep.sweep.stores.location import Where, default_store, located, store_named
+from linksweep.sweep.stores.location import Location, Where, default_store, store_named
 from linksweep.sweep.studies.points import plain_value
 from linksweep.sweep.studies.reader import live_study, load_study, reference_in, study_of_function
 from linksweep.sweep.studies.study import Study
@@ -138,9 +138,8 @@ def run(
         raise SweepError(f"verify = {shown(verify)}: must be a number of points, from 0")
     beside = Beside(retry, fresh, only, keep, redo)
     options = {"axes": axes, "fixed": fixed, "sampling": sampling, "title": title}
-    place = store and located(store)  # before the study is loaded, whose code may change the working folder
-    loaded = _study(study, options | {"points": points, "labels": labels, "exclude": exclude, "when": when})
-    loaded, place = with_part(loaded, place or default_store(loaded.name), part)
+    more = {"points": points, "labels": labels, "exclude": exclude, "when": when}
+    loaded, place = _study(study, options | more, store, part)
     resources = Resources(plain_value(workers), pool, scheduler, None, cluster, limits, dashboard, client)
     with _watching(loaded, progress) as watcher:
         dataset, failures = run_study(loaded, place, resources, watcher, accept_code, max_failures, beside)
@@ -202,8 +201,7 @@ def refine(
     if wrong := [name for name in (*vars(ALL), "part") if options.get(name)]:
         raise SweepError(f"{wrong[0]} is an argument of run, and not of refine")
     names = ("axes", "fixed", "points", "labels", "exclude", "when", "sampling", "title")
-    loaded = _study(study, {name: options.pop(name) for name in names if name in options})
-    place = located(store or default_store(loaded.name))
+    loaded, place = _study(study, {name: options.pop(name) for name in names if name in options}, store)
     goal = {"find": find, "until": until, "within": within, "along": along, "variable": variable}
     *_, last = refinements(loaded, place, goal | {"most": max_realisations}, lambda now: run(now, place, **options))
     return last.dataset
@@ -365,7 +363,20 @@ def plot(
     return draw_figure(dataset, kind, *names)
 
 
-def _study(study: str | Path | Mapping[str, Any] | Study | Callable[..., Any], options: dict[str, Any]) -> Study:
+def _study(
+    study: str | Path | Mapping[str, Any] | Study | Callable[..., Any],
+    options: dict[str, Any],
+    store: Where | None,
+    part: str | None = None,
+) -> tuple[Study, Location]:
+    """Return a study, or a part of it, and where its store is."""
+    here = Path.cwd()  # before the study is loaded, whose code may change it
+    loaded = _loaded(study, options)
+    with chdir(here):
+        return with_part(loaded, default_store(loaded.name) if store is None else store, part)
+
+
+def _loaded(study: str | Path | Mapping[str, Any] | Study | Callable[..., Any], options: dict[str, Any]) -> Study:
     reference = reference_in(study) if isinstance(study, str) else None
     if reference is not None or callable(study) or isinstance(study, Experiment):
         return study_of_function(reference or study, **options)  # type: ignore[arg-type]

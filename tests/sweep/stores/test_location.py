@@ -86,7 +86,7 @@ def test_an_address_that_is_none_or_needs_a_package_is_refused(monkeypatch):
         located("s3://abc/x")
 
 
-def test_a_store_has_the_name_of_its_study_unless_a_path_exists(here):
+def test_a_store_has_the_name_of_its_study_unless_a_path_exists(here, monkeypatch):
     assert [*map(str, map(store_named, ("quasars", "~/a.zarr")))] == ["quasars", f"{os.environ['HOME']}/a.zarr"]
     (here / "results" / "quasars.zarr").mkdir(parents=True)
     assert str(store_named("quasars")) == str(store_named("results/quasars.zarr")) == "results/quasars.zarr"
@@ -95,9 +95,13 @@ def test_a_store_has_the_name_of_its_study_unless_a_path_exists(here):
     (here / "quasars").mkdir()
     assert str(store_named("quasars")) == "quasars"
     assert short_name(store_named("results/quasars.zarr")) == "results/quasars.zarr"
-    (here / "f.py").write_text("import os\nos.chdir('/')\ndef f(x: float):\n    return x\n")
-    linksweep.run("f.py:f", "mine.zarr", axes={"x": [1.0]}, pool="serial")
-    assert (here / "mine.zarr").is_dir()
+    goal = {"find": "f > 2.5", "within": 2.0}
+    calls = (linksweep.run, "mine.zarr", {}), (linksweep.run, None, {}), (linksweep.refine, "finer.zarr", goal)
+    for number, (call, store, how) in enumerate(calls):
+        monkeypatch.chdir(here)
+        (here / f"{number}.py").write_text(f"import os\nos.chdir('{here.parent}')\ndef f(x: float):\n    return x\n")
+        call(f"{number}.py:f", store, axes={"x": [1.0, 3.0]}, pool="serial", **how)
+    assert len([*here.glob("*.zarr"), *here.glob("results/f-*.zarr")]) == 3
 
 
 def line(command, store):
