@@ -517,7 +517,8 @@ class _Reader:
         published, fixed = (self.document.get(key) for key in ("published", "fixed"))
         if isinstance(published, dict) and isinstance(fixed, dict):  # as it is before any option
             plain = {name: raw for name, raw in fixed.items() if isinstance(raw, int | float | str)}
-            self.document["published"] = {"where": plain, **published}
+            where = published.get("where", {})
+            self.document["published"] = published | {"where": plain | where if isinstance(where, dict) else where}
         self.options.apply(self.document, names, texts, self.problems.sentences)
         if self.options.written is not None and experiment is not None:
             known = {one.name for one in experiment.parameters if one.reads_none}

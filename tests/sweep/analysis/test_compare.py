@@ -251,6 +251,10 @@ def test_the_command_tells_by_its_exit_code(sweep, tmp_path):
         document = json.loads(out)
         assert (code, {c["verdict"] for c in document["comparisons"]}) == (1, {"reproduced", verdict})
         assert wanted[name] in document["remarks"][0]
+    (tmp_path / "p.csv").write_text("coins,share\n5,0.5\n")
+    where = "[published]\nfile = 'p.csv'\nsource = 'p. 1'\nwhere = { metal = 'tin' }\n[fixed]\nchance = 0.5\n"
+    study = linksweep.load_study(coin_study(tmp_path, f"{PLACE}\n{where}"), ["chance=0.2"])
+    assert study.published.where["chance"] == 0.5  # that of the study, whatever another axis is at
 
 
 def test_the_whole_paper_from_one_command_runs_what_is_missing(sweep, tmp_path, monkeypatch):
