@@ -653,17 +653,27 @@ class TableFile:
         name = column_of("name", table.colnames)
         return "" if name is None or np.ma.is_masked(table[name][row]) else str(table[name][row]).strip()
 
+    def require_unchanged(self) -> None:
+        """Raise SweepError if the file has another content by now: a worker may read it long after the study."""
+        if not Path(self.path).is_file() or _digest(Path(self.path)) != self.digest:
+            raise SweepError("was changed since the study was read", self.path)
+
 
 def table_file(path: Path) -> TableFile:
     """Return the value of a file parameter; raises SweepError where there is no table that can be read."""
     if not path.is_file():
         raise SweepError("no such file", str(path))
+    table = TableFile(str(path.resolve()), _digest(path))
+    _load(table)  # raises for what is no table
+    return table
+
+
+def _digest(path: Path) -> str:
+    """Return the SHA-256 of a file and of the ReadMe that describes it."""
     content = hashlib.sha256(path.read_bytes())
     if (readme := readme_of(path)) is not None:
         content.update(readme.read_bytes())
-    table = TableFile(str(path.resolve()), content.hexdigest())
-    _load(table)  # raises for what is no table
-    return table
+    return content.hexdigest()
 
 
 def content_digest(value: object) -> str:
@@ -687,4 +697,6 @@ def sorted_json(value: object) -> str:
 @lru_cache(maxsize=4)
 def _load(table: TableFile) -> Any:
     """Read a table once in a process: workers evaluate many blocks of the same file."""
-    return read_table(Path(table.path))
+    read = read_table(Path(table.path))
+    table.require_unchanged()
+    return read

@@ -233,11 +233,11 @@ def _set_up(values: tuple[tuple[str, Any], ...]) -> setup.Setup:
         raise SweepError("zero_motion = true is for quasars without a table, and there is a reference")
     chosen = {one.name: _plain(point[one.name]) for one in OF_TABLES if one.name in point}
     if point["known_spin_table"] is not None:
-        chosen["known_spin"] = point["known_spin_table"].path
+        chosen["known_spin"] = _plain(point["known_spin_table"])
     options = Options(**chosen)
     everything = reference is None or point["candidates"] == "all"
-    right = reference.path if reference else setup.ZERO_MOTION
-    whole = setup.set_up(point["satellite"].path, right, options, everything)
+    right = _plain(reference) if reference else setup.ZERO_MOTION
+    whole = setup.set_up(_plain(point["satellite"]), right, options, everything)
     if reference is None and not zero_motion:
         none = np.zeros(0, dtype=np.int64)
         whole = replace(whole, problem=replace(whole.problem, rows=whole.problem.rows.taken(none), source=none))
@@ -245,10 +245,13 @@ def _set_up(values: tuple[tuple[str, Any], ...]) -> setup.Setup:
 
 
 def _plain(value: Any) -> Any:
-    """Return a value of a study with paths in place of its files."""
+    """Return a value of a study with paths in place of its files; raises SweepError for one that was changed."""
     if isinstance(value, tuple):
         return tuple(_plain(part) for part in value)
-    return value.path if isinstance(value, TableFile) else value
+    if not isinstance(value, TableFile):
+        return value
+    value.require_unchanged()
+    return value.path
 
 
 def _within(whole: setup.Setup, point: Mapping[str, Any]) -> setup.Setup:

@@ -196,9 +196,11 @@ def test_hipparcos_2_with_its_readme(tmp_path):
         table = read_table(written(tmp_path, name, content))
         assert (table["HIP"].tolist(), table["pmRA"].tolist()) == ([1, 2], [-4.55, 179.7])
         np.testing.assert_allclose(Columns(table).quantity("dec"), dec, rtol=1e-14)
-    digest = table_file(tmp_path / "hip2.dat").digest
+    before = table_file(tmp_path / "hip2.dat")
     written(tmp_path, "ReadMe", f"{HIP2}\n")
-    assert table_file(tmp_path / "hip2.dat").digest != digest  # which says what the numbers mean
+    assert table_file(tmp_path / "hip2.dat").digest != before.digest  # which says what the numbers mean
+    with pytest.raises(SweepError, match="was changed"):  # as a worker that begins later finds it
+        type(before)(before.path, "").columns({}, {}, ())
     with pytest.raises(SweepError, match="a table of CDS needs its ReadMe"):
         read_table(written(tmp_path, "tyc2.dat", HIP2_ROWS))
 

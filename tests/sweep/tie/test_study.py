@@ -172,6 +172,7 @@ def test_what_cannot_be_computed_is_said():
     wrong = {"satellite is required": {"satellite": None}, "there are 62 sources to observe": {"n_new": 63}}
     wrong |= {"no rows": {"n_new": 0}, "do not tell these unknowns apart": {"n_new": 1}}
     wrong |= {"no column of numbers": {"g_max": 12}, "no unknowns 'spin'": {"goal": "spin"}}
+    wrong |= {"was changed": {"satellite": replace(point("pulsar-forecast")["satellite"], digest="")}}
     for words, changes in wrong.items():
         assert words in check(point("pulsar-forecast", n_new=5) | changes)
 
