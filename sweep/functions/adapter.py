@@ -485,7 +485,7 @@ class FunctionExperiment(Experiment):
     def errors_of_headline(self) -> list[tuple[str, str]]:
         """Return the headline outputs that have a Monte-Carlo error, and its name."""
         if self.undeclared and self.rng:
-            return [("results", "results_mc_error")]  # mean and the like always have one
+            return [("results", "results_mc_error")]  # whether any has one is seen at the first point
         return super().errors_of_headline()
 
     def as_record(self) -> dict[str, Any]:

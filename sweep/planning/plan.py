@@ -239,6 +239,8 @@ class Plan:
             measured = {name for name, _ in headline + others if not np.isnan(results[name]).all()}
             pairs = [pair for pair in headline if pair[0] in measured]
             pairs = pairs or [pair for pair in others if pair[0] in measured][:1] or headline
+            if not pairs:
+                raise SweepError("precision: no result has an error to judge by, as a mean has", study.source)
             errors = np.concatenate([np.abs(results[error] / results[value]).reshape(-1) for value, error in pairs])
         unknown = n_sim < KNOWN_BY and bool(np.isnan(errors).any())
         worst = float(np.max(errors, where=~np.isnan(errors), initial=0.0))

@@ -121,6 +121,9 @@ def test_a_quantile_goes_on_until_its_error_is_known(tmp_path):
     assert (whole["n_sim_done"].item() >= 3782, cut["n_sim_done"].item()) == (True, 1024)
     error = cut["w_q99.9_mc_error"]
     assert ("below 3782 realisations" in error.description, np.isnan(error.item())) == (True, True)
+    largest = experiment(outputs=[Output("w", statistics="max")])(lambda rng: {"w": rng.exponential()})
+    with pytest.raises(linksweep.SweepError, match="precision: no result has an error to judge by"):
+        linksweep.run(largest, tmp_path / "largest", sampling=sampling, pool="serial")
 
 
 class StopAt(Progress):
