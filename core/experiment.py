@@ -331,7 +331,8 @@ def summarise(sums: Mapping[str, Array], n: Array, n_cat: Array) -> dict[str, Ar
     sigma, expected = np.sqrt(_with_means(variance)), _with_means(total)
     sigmas = {
         "": sigma,
-        "_mc_error": _error_of_root(expected, sums["predicted_square_variance"] / each, each),
+        # in the closed form: few realisations tell little of their squares and fourth moments
+        "_mc_error": _error_of_root(expected, np.sqrt(sums["predicted_square_variance"]) / each),
         "_predicted": np.sqrt(_with_means(predicted)),
         "_rms_predicted": np.sqrt(expected),
         "_catalogue_error": _catalogue_error(expected, sums["predicted_powers"] / each[..., None], n_cat[:, None]),
@@ -368,15 +369,10 @@ def _with_means(values: Array) -> Array:
     return np.column_stack([values, *(values[:, part].mean(axis=1) for part in MEANS)])
 
 
-def _error_of_root(expected: Array, variance: Array, n: Array) -> Array:
-    """Return the error of sqrt(mean of n squares) with these expected values and this mean ``variance``.
-
-    In the closed form, not from the realisations: few tell little of their squares and fourth moments.  A single normal
-    error has sigma/sqrt(2 n), and so have components of which one dominates the others; for three that are alike it is
-    sigma/sqrt(6 n).  Biases, and catalogues of different quality, have their part.
-    """
+def _error_of_root(mean: Array, error: Array) -> Array:
+    """Return the error of the root of a mean with this ``error``, 0 where the mean is 0."""
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.where(expected > 0.0, np.sqrt(variance / n / expected) / 2.0, 0.0 * expected)
+        return np.where(mean > 0.0, error / (2.0 * np.sqrt(mean)), 0.0 * mean)
 
 
 def _correlation(covariance: Array) -> Array:
@@ -424,8 +420,7 @@ def _catalogue_error(expected: Array, powers: Array, n_cat: Array) -> Array:
     with np.errstate(invalid="ignore", divide="ignore"):
         # squared, over their number, which is at most 1
         skewness = np.where(variance > 0.0, np.minimum((third / variance**1.5) ** 2 / n_cat, 1.0), 0.0)
-        error = enlarged_error(variance / (n_cat - 1.0), n_cat, skewness)
-        return np.where(expected > 0.0, error / (2.0 * np.sqrt(expected)), 0.0 * expected)
+        return _error_of_root(expected, enlarged_error(variance / (n_cat - 1.0), n_cat, skewness))
 
 
 link = Experiment(

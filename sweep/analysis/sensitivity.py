@@ -111,10 +111,9 @@ def sensitivity(dataset: xr.Dataset, output: str | None = None, seed: int = 0) -
     points = math.prod(dataset.sizes[d] for d in method.over)
     notes = [f"sensitivity of {output} by {method.name}, from {points:,} points", *method.notes]
     if (np.isnan(sigma) & np.isfinite(index)).any():
-        shared = "points share random numbers, or their Monte-Carlo errors are not known"
-        noisy = f"{shared}: errors of the indices are not known, and noise counts as variation"
-        few = f"errors are not known below {FEWEST_SAMPLES} base points or trajectories"
-        notes.append(few if POINT in method.over else noisy)
+        why = "points share random numbers, or their Monte-Carlo errors are not known, and noise counts as variation"
+        few = f"there are fewer than {FEWEST_SAMPLES} base points or trajectories"
+        notes.append(f"errors of the indices are not known: {few if POINT in method.over else why}")
     if unknown := np.isnan(index).all(axis=1).sum():
         where = f" at {unknown} of {len(made)} places" if len(made) > 1 else ""
         notes.append(f"{output} does not vary{where}, or no more than its errors: no indices")

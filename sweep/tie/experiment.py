@@ -128,14 +128,17 @@ COORDINATES: Mapping[str, tuple[str, ...]] = {
 # Their sums are these outputs times the number of draws.
 FIXED = {one.name: tuple(len(COORDINATES[dim]) for dim in one.dims) for one in OF_TABLES_ALONE}
 
+# Outputs that are means over draws of numbers, none of them negative, or (sigma) roots of such means.
+MEANS: Mapping[str, tuple[int, ...]] = {
+    **{"sigma": (len(COMPONENTS),), "sigma_orientation": (), "sigma_spin": (), "sigma_by_bin": BIN_SHAPE},
+    **{"power_drawn": POWER_SHAPE, "chi2_ratio_drawn": ()},
+}
 SUMS: Mapping[str, tuple[int, ...]] = {
     **FIXED,
-    **dict.fromkeys(("predicted_variance", "bias", "square", "square_squares"), (len(COMPONENTS),)),
-    **dict.fromkeys(("coverage", "coverage_scaled"), (len(COMPONENTS),)),
-    **dict.fromkeys(("orientation_square", "orientation_square_squares", "spin_square", "spin_square_squares"), ()),
-    **dict.fromkeys(("power_drawn_predicted", "power_drawn", "power_drawn_squares"), POWER_SHAPE),
-    **dict.fromkeys(("bins_variance", "bins_square", "bins_square_squares"), BIN_SHAPE),
-    **dict.fromkeys(("n_kept_drawn", "chi2_ratio_drawn", "chi2_ratio_drawn_squares"), ()),
+    **MEANS,
+    **{f"{name}_squares": shape for name, shape in MEANS.items()},
+    **dict.fromkeys(("predicted_variance", "bias", "coverage", "coverage_scaled"), (len(COMPONENTS),)),
+    **{"power_drawn_predicted": POWER_SHAPE, "bins_variance": BIN_SHAPE, "n_kept_drawn": ()},
 }
 
 
@@ -317,13 +320,12 @@ def _simulated(point: Point, n_sim: int, rng: np.random.Generator) -> dict[str, 
     drawn = [_solved(draw, design.clip, truth, solution) for draw in simulation.draws(n_sim, rng)]
     error, formal, ratio, kept = (np.array(part) for part in zip(*drawn, strict=True))
     power = np.array([powers(unknowns, one * MAS, solution.covariance)[0] for one in error])
-    in_bins = by_bins(unknowns, error) ** 2
-    error, formal = components(error, labels), components(formal, labels)
-    moments = {
-        "square": error**2,
-        "bins_square": in_bins,
-        "orientation_square": np.mean(error[:, ORIENTATION] ** 2, axis=1),
-        "spin_square": np.mean(error[:, SPIN] ** 2, axis=1),
+    in_bins, error, formal = by_bins(unknowns, error), components(error, labels), components(formal, labels)
+    means = {
+        "sigma": error**2,
+        "sigma_orientation": np.mean(error[:, ORIENTATION] ** 2, axis=1),
+        "sigma_spin": np.mean(error[:, SPIN] ** 2, axis=1),
+        "sigma_by_bin": in_bins**2,
         "power_drawn": power,
         "chi2_ratio_drawn": ratio,
     }
@@ -333,9 +335,9 @@ def _simulated(point: Point, n_sim: int, rng: np.random.Generator) -> dict[str, 
         "bins_variance": by_bins(unknowns, variance),
     }
     sums = {name: n_sim * values for name, values in fixed.items()}
-    totals = moments | {"bias": error, "n_kept_drawn": kept}
+    totals = means | {"bias": error, "n_kept_drawn": kept}
     sums |= {name: np.asarray(values.sum(axis=0)) for name, values in totals.items()}
-    sums |= {f"{name}_squares": np.asarray(np.sum(values**2, axis=0)) for name, values in moments.items()}
+    sums |= {f"{name}_squares": np.asarray(np.sum(values**2, axis=0)) for name, values in means.items()}
     for name, size in (("coverage", formal), ("coverage_scaled", formal * np.sqrt(ratio)[:, None])):
         sums[name] = np.where(np.isnan(error) | np.isnan(size), np.nan, np.abs(error) <= size).sum(axis=0)
     return sums | {"drawn": error + components(truth / MAS, labels)}
@@ -383,32 +385,24 @@ def summarise(sums: Mapping[str, Array], n: Array, n_cat: Array) -> dict[str, Ar
     """Return every output from the sums over n draws."""
     each = {name: n.reshape(-1, *[1] * (total.ndim - 1)) for name, total in sums.items()}
     mean = {name: total / each[name] for name, total in sums.items()}
-
-    def with_error(name: str, of: str, power: float = 1.0) -> dict[str, Array]:
-        """Return a ``power`` of a mean of n numbers, none of them negative, and its error from their scatter."""
-        with np.errstate(invalid="ignore", divide="ignore"):
-            square = np.maximum(mean[f"{of}_squares"] / mean[of] ** 2 - 1.0, 0.0) / (each[of] - 1.0)
-            # by simulation, so that draws without the rare large numbers of a skewed law do not look too precise
-            square = small_sample_factor(each[of]) * square * np.exp(np.minimum(8.0 * square, 3.0))
-        value = mean[of] ** power
-        return {name: value, f"{name}_mc_error": power * value * np.where(value == 0.0, 0.0, np.sqrt(square))}
-
     results = {name: mean[name] for name in (*FIXED, "n_kept_drawn", "power_drawn_predicted", "bias")}
     for name in ("n_sources", "n_kept", "n_drawn"):
         results[name] = np.round(results[name])  # a whole number times n, over n
-    variance = mean["predicted_variance"]
-    for name, square, predicted in (
-        ("sigma", "square", variance),
-        ("sigma_by_bin", "bins_square", mean["bins_variance"]),
-        ("sigma_orientation", "orientation_square", variance[:, ORIENTATION].mean(axis=1)),
-        ("sigma_spin", "spin_square", variance[:, SPIN].mean(axis=1)),
-    ):
-        results |= with_error(name, square, 0.5) | {f"{name}_predicted": np.sqrt(predicted)}
-    for name in ("chi2_ratio_drawn", "power_drawn"):
-        results |= with_error(name, name)
     with np.errstate(invalid="ignore", divide="ignore"):
-        scatter = np.maximum(mean["square"] - mean["bias"] ** 2, 0.0) / (each["bias"] - 1.0)
+        scatter = np.maximum(mean["sigma"] - mean["bias"] ** 2, 0.0) / (each["bias"] - 1.0)
         results["bias_mc_error"] = np.sqrt(small_sample_factor(each["bias"]) * scatter)
+        for name in MEANS:
+            power = 0.5 if name.startswith("sigma") else 1.0
+            square = np.maximum(mean[f"{name}_squares"] / mean[name] ** 2 - 1.0, 0.0) / (each[name] - 1.0)
+            # by simulation, so that draws without the rare large numbers of a skewed law do not look too precise
+            square = small_sample_factor(each[name]) * square * np.exp(np.minimum(8.0 * square, 3.0))
+            results[name] = value = mean[name] ** power
+            results[f"{name}_mc_error"] = power * value * np.where(value == 0.0, 0.0, np.sqrt(square))
+    variance = mean["predicted_variance"]
+    orientation, spin = (variance[:, part].mean(axis=1) for part in (ORIENTATION, SPIN))
+    predicted = {"sigma": variance, "sigma_orientation": orientation, "sigma_spin": spin}
+    predicted["sigma_by_bin"] = mean["bins_variance"]
+    results |= {f"{name}_predicted": np.sqrt(values) for name, values in predicted.items()}
     for name in ("coverage", "coverage_scaled"):
         between = (sums[name] + 2.0) / (each[name] + 4.0)  # never 0 or 1, where the error would be 0
         results[name], results[f"{name}_mc_error"] = mean[name], np.sqrt(between * (1.0 - between) / each[name])
