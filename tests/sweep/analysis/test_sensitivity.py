@@ -186,18 +186,6 @@ def test_the_command_prints_writes_and_draws(tmp_path, sweep):
     assert xr.open_zarr(tmp_path / "i.zarr", consolidated=False).total.values == pytest.approx([0.2, 0.8])
 
 
-def test_errors_of_saltelli_designs_are_one_sigma():
-    """Half of SALib's intervals of 95 % are 1.96 standard deviations of the same resamples, with n/(n - 3)."""
-    sobol = pytest.importorskip("SALib.analyze.sobol")
-    unit = np.asarray(DESIGNS["saltelli"].draw(64, 3, np.random.default_rng(1)))
-    values = ishigami(*(2 * PI * unit.T - PI))
-    problem = {"num_vars": 3, "names": list(BOX), "bounds": [[0.0, 1.0]] * 3}
-    theirs = sobol.analyze(problem, values, calc_second_order=False, num_resamples=200, conf_level=0.95, seed=1)
-    _, first, _, total = saltelli_indices(values, 3, seed=0)
-    assert first == pytest.approx(theirs["S1_conf"] / 1.959964 * np.sqrt(64 / 61), rel=1e-5)
-    assert total == pytest.approx(theirs["ST_conf"] / 1.959964 * np.sqrt(64 / 61), rel=1e-5)
-
-
 def random_points(seed, n=128):
     unit = np.random.default_rng(seed).random((n, 3))
     return first_order(ishigami(*(2 * PI * unit.T - PI)), list(unit.T))
@@ -214,24 +202,24 @@ def noisy_grid(seed):
 
 
 def morris(seed):
+    pytest.importorskip("SALib")
     unit = np.asarray(DESIGNS["morris"].draw(6, 3, np.random.default_rng(seed)))
     a, b, c = unit.T
     return morris_effects(2.0 * a + b**3 + 3.0 * a * c, unit)[:2]
 
 
-COVERED = [(saltelli, 60, (ALONE, TOTAL), 0.88), (noisy_grid, 150, WITHOUT_NOISE, 0.88)]
-COVERED += [(random_points, 200, (ALONE,), 0.9), (lambda seed: random_points(seed, 512), 200, (ALONE,), 0.9)]
-COVERED += [(morris, 200, (np.array([3.5, 17 / 18, 1.5]),), 0.88)]
+COVERED = [(morris, 200, (np.array([3.5, 17 / 18, 1.5]),), 0.88, 0.6)]  # SALib's intervals of 95 % would be 0.4
+COVERED += [slow(saltelli, 60, (ALONE, TOTAL), 0.88, 0.0), slow(noisy_grid, 150, WITHOUT_NOISE, 0.88, 0.0)]
+COVERED += [slow(random_points, 200, (ALONE,), 0.9, 0.3)]
+COVERED += [slow(lambda seed: random_points(seed, 512), 200, (ALONE,), 0.9, 0.3)]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("estimate", "copies", "truths", "least"), COVERED)
-def test_errors_cover_the_truth_and_are_not_merely_large(estimate, copies, truths, least):
+@pytest.mark.parametrize(("estimate", "copies", "truths", "least", "scatter"), COVERED)
+def test_errors_cover_the_truth_and_are_not_merely_large(estimate, copies, truths, least, scatter):
     result = np.moveaxis(np.array([estimate(seed) for seed in range(copies)]), 1, 0)
     for estimates, errors, truth in zip(result[::2], result[1::2], truths, strict=True):
         for value, error, true in zip(estimates.T, errors.T, truth, strict=True):
             assert np.mean(np.abs(value - true) < 2.0 * error) > least
-            if len(truths) == 1:
-                assert np.std(value) > 0.3 * np.mean(error)
-            else:
+            assert np.std(value) > scatter * np.mean(error)
+            if len(truths) == 2:
                 assert np.mean(value) == pytest.approx(true, abs=0.02)  # noise is no bias

@@ -58,8 +58,7 @@ def test_errors_of_draws_hold_the_truth(outliers, n_sim):
     for name, truth in (truths | {"chi2_ratio_drawn": factor**2}).items():
         pulls = (result[name] - truth) / result[f"{name}_mc_error"]
         assert np.mean(np.abs(pulls[np.isfinite(pulls)]) <= 2.0) == pytest.approx(0.95, abs=0.04), name
-    few = results(at, 4)
-    assert np.isnan([few[f"{name}_mc_error"][0] for name in ("bias", "sigma")]).all()
+    assert np.isnan([results(at, 4)[f"{name}_mc_error"][0] for name in ("bias", "sigma")]).all()
 
 
 def test_results_of_draws_are_those_of_the_samples():
@@ -70,7 +69,6 @@ def test_results_of_draws_are_those_of_the_samples():
     off = drawn - result["estimate"][:3]
     np.testing.assert_allclose(result["sigma"][:3], np.sqrt(np.mean(off**2, axis=0)))
     np.testing.assert_allclose(result["bias"][:3], off.mean(axis=0), atol=1e-12)
-    np.testing.assert_allclose(result["bias_mc_error"][:3] ** 2, off.var(axis=0, ddof=1) / (n - 3) / n * (n - 1))
     np.testing.assert_allclose(result["sigma_orientation"], np.sqrt(np.mean(off**2)))
     predicted = np.sqrt(np.mean(result["sigma_predicted"][:3] ** 2))
     np.testing.assert_allclose(result["sigma_orientation_predicted"], predicted)
