@@ -324,7 +324,10 @@ def summarise(sums: Mapping[str, Array], n: Array, n_cat: Array) -> dict[str, Ar
     whole = np.column_stack([variance, between[:, -2] + sums["chi2_variance"] / n, between[:, -1]])
     means = np.column_stack([bias, results["chi2"], results["condition_number"]])
     errors = _error_of_mean(means, whole, between, sums["batches"][:, None], each, n_cat[:, None])
-    results |= {"chi2_mc_error": errors[:, -2], "condition_number_mc_error": errors[:, -1]}
+    # of one catalogue chi2 has a closed form, and the condition number is exact
+    of_one = np.sqrt(sums["chi2_variance"]) / n, np.zeros(len(n))
+    of_means = zip(("chi2", "condition_number"), of_one, errors.T[-2:], strict=True)
+    results |= {f"{name}_mc_error": np.where(n_cat > 1.0, many, one) for name, one, many in of_means}
     predicted_bias = np.where(undetermined, np.nan, sums["predicted_bias"] / each)
     for end, values in {"": bias, "_mc_error": errors, "_predicted": predicted_bias}.items():
         results |= {f"bias{end}": values[:, ALWAYS], f"glide_bias{end}": values[:, GLIDE]}

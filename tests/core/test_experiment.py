@@ -128,7 +128,9 @@ def test_the_error_of_a_bias_is_right_on_the_average_where_catalogues_have_sever
 
 def test_catalogue_error_is_unknown_for_one_catalogue_and_zero_without_errors():
     noisy = points.evaluated(10, point())
-    assert np.all(np.isnan(link.summarise(noisy, np.array([10.0]), np.ones(1))["sigma_catalogue_error"]))
+    one = link.summarise(noisy, np.array([10.0]), np.ones(1))
+    assert np.all(np.isnan(one["sigma_catalogue_error"]))
+    assert (one["chi2_mc_error"], one["condition_number_mc_error"]) == (pytest.approx(np.sqrt(0.2 * one["dof"])), 0.0)
     for n_cat in (2.0, 3.0, 4.0):
         few = link.summarise(noisy, np.array([10.0]), np.array([n_cat]))
         assert np.all(np.isnan([few["sigma_catalogue_error"], few["bias_mc_error"]]))
