@@ -295,6 +295,8 @@ class _Child:
     def _go_on(self) -> None:
         """Send what is left of the task, to another process where this one has ended."""
         self.start(self.trial.task)
+        # Where the child goes on to write, too: its programs may write gigabytes.
+        os.truncate(self._words.fileno(), os.lseek(self._words.fileno(), 0, os.SEEK_SET))
         if self._is_ready:  # else when it is
             self.send((self.trial.rest(), self.trial.careful))
 

@@ -188,16 +188,18 @@ def test_where_no_process_may_be_forked_a_new_one_computes_the_same(tmp_path, mo
     large, store = bytes(10**6), tmp_path / "s.zarr"  # more than a pipe holds
 
     def f(x: float):
-        return x / 3.0 * ("-c" in sys.argv) + large[0]
+        os.write(1, large)  # what a run of weeks prints must not fill the disk
+        time.sleep(0.1)
+        return x / 3.0 * ("-c" in sys.argv) + large[0] + (os.fstat(1).st_size > 15 * 10**6)
 
     with pool(1) as busy:
         busy.map(int, "1")
-        assert run(f, store, axes={"x": [1.0, 2.0]}).f.values.tolist() == [1.0 / 3.0, 2.0 / 3.0]
+        assert run(f, store, axes={"x": range(20)}, workers=1).f.values.tolist() == [x / 3.0 for x in range(20)]
     monkeypatch.setitem(sys.modules, "polars", sys)
     (tmp_path / "sitecustomize.py").write_text("import os; os._exit(3)")
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(SweepError, match=r"could not start \(exit code 3\)"):
-        run(f, store, axes={"x": [3.0]})
+        run(f, store, axes={"x": [30.0]})
 
 
 def test_many_children_have_the_files_that_the_system_allows_and_go_where_their_blocks_leave_many_open(tmp_path):
