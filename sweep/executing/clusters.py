@@ -386,6 +386,9 @@ PLUGIN = "linksweep"
 # Seconds between two looks at the number of workers.
 LOOK_EVERY_S = 1.0
 
+# Seconds between two looks at the state of each worker, of which there may be thousands, while results come.
+STATES_EVERY_S = 30.0
+
 # Seconds without workers before the user is told: a worker that died is replaced sooner.
 PATIENCE_S = 3.0
 
@@ -501,7 +504,7 @@ class DaskDriver:
         self._expected = Identity.here(reference)
         self._threads = 1
         self._warned: set[str] = set()
-        self._looked = self._had_workers = time.monotonic()
+        self._looked = self._had_workers = self._knew_states = time.monotonic()
         self._waiting = False
         self._in_flight: dict[Fetching[Any], _Submission] = {}
 
@@ -555,18 +558,29 @@ class DaskDriver:
         return [f"{worker}: {text}" for text in self._expected.differences(there)]
 
     def _look(self, idle: bool = False) -> None:
-        """Count the threads of the workers, and if they seem ``idle`` see whether Dask has paused all of them; raises
-        SweepError where the connection is lost.
+        """Count the threads of the workers, and at times, or if they seem ``idle``, see whether Dask has paused some
+        of them; raises SweepError where the connection is lost.
+
+        Dask leaves what it has sent to a worker there when it pauses that, for ever where a function leaks memory.
         """
         if self.client.status != "running":
             raise self._gone()
+        idle = idle or time.monotonic() - self._knew_states > STATES_EVERY_S
         try:
             threads = sum(self.client.nthreads().values())
-            workers = self.client.scheduler_info()["workers"].values() if idle and threads else ()
+            workers = self.client.scheduler_info()["workers"] if idle and threads else {}
         except (OSError, TimeoutError) as error:
             raise self._gone() from error
         self._looked, self._threads = time.monotonic(), max(1, threads)
-        is_paused = bool(workers) and all(one["status"] == "paused" for one in workers)
+        self._knew_states = self._looked if idle else self._knew_states
+        paused = {address: one for address, one in workers.items() if one["status"] == "paused"}
+        # Nothing is lost where a worker has only tasks that are ready to begin.
+        waiting = [a for a, one in paused.items() if one["nanny"] and {*one["metrics"]["task_counts"]} == {"ready"}]
+        if waiting:
+            self._say(f"Dask has paused {' and '.join(waiting)}, whose memory is nearly full; starts it anew")
+            with suppress(OSError, TimeoutError):  # then it is seen again
+                self.client.restart_workers(waiting, CONNECT_TIMEOUT_S, raise_for_error=False)
+        is_paused = bool(paused) and len(paused) == len(workers)
         if threads and not is_paused:
             if self._waiting:
                 self._say(f"{self._where} has workers again")
@@ -616,6 +630,7 @@ class DaskDriver:
             if fetching is None:
                 continue
             one = self._in_flight.pop(fetching)
+            one.future = None  # its worker need not keep the result any longer
             try:
                 answer = self._received(fetching)
             except SweepError:

@@ -101,6 +101,16 @@ def test_workers_may_come_late_and_all_of_them_die_and_others_join(start, tmp_pa
     same(tmp_path / "s.zarr", reference)
 
 
+@pytest.mark.slow
+def test_a_worker_that_a_function_fills_is_started_anew(tmp_path, outside, start_sweep):
+    leaks = "    f.__dict__.setdefault('left', []).append(np.ones(2**19))\n    time.sleep(0.1)\n"
+    (tmp_path / "f.py").write_text(f"import time, numpy as np\ndef f(x: int):\n{leaks}    return x\n")
+    outside.start_worker("--memory-limit", "400MB")
+    outside.wait_for_workers(1)
+    process = start_sweep("run", "f.py:f", "--axis", "x=0:149:1", "--scheduler", outside.address, cwd=tmp_path)
+    assert "starts it anew" in to_its_end(process)
+
+
 @pytest.mark.parametrize("later", [slow(False), slow(True)])
 def test_a_worker_with_another_version_stops_the_run(start, link_study, tmp_path, sweep, outside, request, later):
     info = tmp_path / "shim" / "numpy-0.0.9.dist-info"
