@@ -230,11 +230,8 @@ def _eliminate_free(result: Eliminated, sources: Indices, columns: Indices) -> N
     keep[:, columns, :] = 0.0
     right, spread = result.right[sources], result.right_covariance[sources]
     result.squares[sources] -= np.einsum("nk,nkl,nl->n", right[:, columns], inverse, right[:, columns])
+    result.expected[sources] -= np.einsum("nkl,nlk->n", inverse, spread[:, columns[:, None], columns])
     result.count[sources] -= np.sum(seen, axis=1)
-    if result.spread is None:
-        result.expected[sources] = result.count[sources]
-    else:
-        result.expected[sources] -= np.einsum("nkl,nlk->n", inverse, spread[:, columns[:, None], columns])
     result.normal[sources] = keep @ weight @ keep.swapaxes(1, 2)
     result.right[sources] = np.einsum("nij,nj->ni", keep, right)
     if result.spread is not None:

@@ -653,10 +653,11 @@ class TableFile:
         name = column_of("name", table.colnames)
         return "" if name is None or np.ma.is_masked(table[name][row]) else str(table[name][row]).strip()
 
-    def require_unchanged(self) -> None:
-        """Raise SweepError if the file has another content by now: a worker may read it long after the study."""
+    def unchanged(self) -> str:
+        """Return the path; raises SweepError if the file has another content when a worker comes to read it."""
         if not Path(self.path).is_file() or _digest(Path(self.path)) != self.digest:
             raise SweepError("was changed since the study was read", self.path)
+        return self.path
 
 
 def table_file(path: Path) -> TableFile:
@@ -697,6 +698,4 @@ def sorted_json(value: object) -> str:
 @lru_cache(maxsize=4)
 def _load(table: TableFile) -> Any:
     """Read a table once in a process: workers evaluate many blocks of the same file."""
-    read = read_table(Path(table.path))
-    table.require_unchanged()
-    return read
+    return read_table(Path(table.unchanged()))

@@ -251,10 +251,7 @@ def _plain(value: Any) -> Any:
     """Return a value of a study with paths in place of its files; raises SweepError for one that was changed."""
     if isinstance(value, tuple):
         return tuple(_plain(part) for part in value)
-    if not isinstance(value, TableFile):
-        return value
-    value.require_unchanged()
-    return value.path
+    return value.unchanged() if isinstance(value, TableFile) else value
 
 
 def _within(whole: setup.Setup, point: Mapping[str, Any]) -> setup.Setup:

@@ -409,16 +409,15 @@ def _by_position(satellite: AstrometricTable, reference: AstrometricTable, radiu
     chord = 2.0 * np.sin(0.5 * radius * ARCSEC)
     place, second = np.full((2, len(rows)), -1)
     epochs = np.where(np.isfinite(rows.epoch), rows.epoch, np.inf)
-    own, everywhere = _directions(sources, sources.epoch), np.arange(len(sources))
-    known = rows.epoch[np.isfinite(rows.epoch)]
-    years = known.min(initial=np.inf), known.max(initial=-np.inf)
-    ends = (_directions(sources, np.full(len(sources), end)) for end in years)
+    known = epochs[np.isfinite(epochs)]
+    years = np.inf, known.min(initial=np.inf), known.max(initial=-np.inf)
+    own, *ends = (_directions(sources, np.full(len(sources), year)) for year in years)
     # twice as far as sources move on straight lines: others move little more, or within an arcsecond
     reach = 2.0 * chord + ARCSEC + 2.0 * max(np.linalg.norm(end - own, axis=0).max() for end in ends)
     tree = cKDTree(own.T)
     for epoch in np.unique(epochs):  # the sources move, so that each epoch has a tree of its own
         at = np.flatnonzero(epochs == epoch)
-        there, near = triad(*rows.values[:2, at]).r.T, everywhere
+        there, near = triad(*rows.values[:2, at]).r.T, np.arange(len(sources))
         if np.sum(tree.query_ball_point(there, reach, return_length=True)) < len(near):
             near = np.unique(np.concatenate(tree.query_ball_point(there, reach))).astype(np.int64)
         moved = cKDTree(_directions(sources.taken(near), np.full(len(near), epoch)).T)

@@ -12,7 +12,7 @@ from scipy.linalg import block_diag, lstsq
 from scipy.optimize import brentq
 
 from linksweep.core.frames import MAS, position, triad
-from linksweep.core.tie.astrometry import Astrometry, bends, differences, parallax_factors, propagated
+from linksweep.core.tie.astrometry import Astrometry, bends, differences, propagated
 from linksweep.core.tie.problem import Problem, leave_one_out, solve, source_sums
 from linksweep.core.unknowns import parse_unknowns
 from tests.core.tie.made import missions, seen_by_satellite, stars
@@ -75,14 +75,10 @@ def test_the_motion_is_astropys():
         np.testing.assert_allclose(ours[2:], theirs[2:], rtol=1e-7, atol=1e-6 * MAS)
 
 
-def test_parallax_factors_are_those_of_vectors():
-    truth = stars(20)
-    for epoch in (1995.2, 2016.0, 2026.7):
-        seen = apparent(np.array([truth.values[0], truth.values[1], np.full(20, MAS)]), epoch)
-        factors = parallax_factors(truth.values[0], truth.values[1], np.full(20, epoch))
-        east = (seen[0] - truth.values[0] + np.pi) % (2.0 * np.pi) - np.pi
-        np.testing.assert_allclose(factors[0], east * np.cos(truth.values[1]) / MAS, atol=1e-6)
-        np.testing.assert_allclose(factors[1], (seen[1] - truth.values[1]) / MAS, atol=1e-6)
+def test_positions_of_a_single_epoch_are_displaced_by_the_parallax():
+    for years in (-20.8, 0.0, 10.7):
+        result = solve(source_sums(made(slice(0, 2), years, "orientation"))).estimate / MAS
+        np.testing.assert_allclose(result, (EPSILON + years * OMEGA) / MAS, atol=0.02)  # of parallaxes of 60 mas
 
 
 @given(st.floats(0.05, 30.0), st.floats(0.0, 0.98), YEARS, YEARS, st.floats(0.0, 3.14))
