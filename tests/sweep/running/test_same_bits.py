@@ -26,46 +26,35 @@ SPREAD["axes"] = {"x": [0.5, 1.0, 2.0], "law": ["power", "levelling"]}
 SPREAD["sampling"] = {"n_sim": 64, "n_cat": 6, "seed": 5, "common_random_numbers": True}
 STEP = ContextVar("STEP", default=1.0)
 THREADS = """
-import time
-from pathlib import Path
-from threadpoolctl import threadpool_info
-from linksweep import Experiment, Output, Parameter
+import pathlib, threading, time
+import linksweep, threadpoolctl
+from linksweep.sweep.running.merge import merge
 def threads():
-    return max(one["num_threads"] for one in threadpool_info())
-def after(name):
-    while not Path(name).exists():
-        time.sleep(0.01)
-def evaluate(points, n_sim, rng, catalogue_rng):
+    return max(one["num_threads"] for one in threadpoolctl.threadpool_info())
+def wait(name, is_there):
+    while pathlib.Path(name).exists() != is_there:
+        time.sleep(0.1)
+def evaluate(points, n_sim, *generators):
     import scipy.linalg  # whose library is loaded in a block
-    x = points[0]["x"]
-    Path(f"{x}").touch()
-    after({0: "1", 2: "short is over"}.get(x, "."))
+    pathlib.Path(str(points[0]["x"])).touch()
+    wait(*{0: ("1", True), 2: ("short.lock", False)}.get(points[0]["x"], (".", True)))
     return {"threads": [n_sim * threads()]}
-X = Parameter("x", "int", None, "when it is computed")
-OUT = Output("here"), Output("later")
 def summarise(sums, n, n_cat):
     return {"here": sums["threads"] / n, "later": n * 0.0 + threads()}
-experiment = Experiment("threads", 1, (X,), {"threads": ()}, OUT, evaluate, summarise)
-"""
-RUNS = """
-import linksweep, m, pathlib, threading
-from linksweep.sweep.running.merge import merge
-def run(name, x, **more):
-    linksweep.run("m.py:experiment", name, axes={"x": x}, sampling={"n_sim": 600}, pool="serial", **more)
-before = m.threads()
-short, long = (threading.Thread(target=run, args=one) for one in (("short", [0]), ("long", [1, 2])))
-short.start()
-m.after("0")
-long.start()
-short.join()
-pathlib.Path("short is over").touch()
-long.join()
-[run("s", [3], part=f"{k}/2") for k in (1, 2)]
-merge(["s.part-1-of-2", "s.part-2-of-2"], "s")
-for name in ("short", "long", "s"):
-    ds = linksweep.open(name)
-    assert set(ds.here.values) | set(ds.later.values) == {1.0}, (name, ds.here.values, ds.later.values)
-assert m.threads() == before
+x, outputs = linksweep.Parameter("x", "int"), (linksweep.Output("here"), linksweep.Output("later"))
+experiment = linksweep.Experiment("threads", 1, (x,), {"threads": ()}, outputs, evaluate, summarise)
+def run(name, x, part=None):
+    axes, sampling = {"x": x}, {"n_sim": 600}
+    linksweep.run("m.py:experiment", name, axes=axes, sampling=sampling, pool="serial", part=part)
+if __name__ == "__main__":
+    before, runs = threads(), (("short", [0]), ("long", [1, 2]))
+    short, long = (threading.Thread(target=run, args=one) for one in runs)
+    short.start(), wait("0", True), long.start(), long.join()  # which ends last
+    [run("s", [3], f"{k}/2") for k in (1, 2)]
+    merge(["s.part-1-of-2", "s.part-2-of-2"], "s")
+    for ds in map(linksweep.open, ("short", "long", "s")):
+        assert set(ds.here.values) | set(ds.later.values) == {1.0}, ds
+    assert threads() == before
 """
 
 
@@ -120,7 +109,7 @@ def test_what_is_set_in_the_thread_of_a_run_holds_wherever_it_computes(tmp_path,
 def test_sums_of_products_have_one_thread_whatever_else_goes_on(tmp_path):
     (tmp_path / "m.py").write_text(THREADS)
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "2"}
-    subprocess.run([sys.executable, "-c", RUNS], cwd=tmp_path, env=environment, check=True, timeout=PATIENCE_S)
+    subprocess.run([sys.executable, "m.py"], cwd=tmp_path, env=environment, check=True, timeout=PATIENCE_S)
 
 
 def test_blocks_add_up_whoever_computed_them(tmp_path):
