@@ -323,6 +323,11 @@ class Ledger:
         """Add finished blocks, with their samples if these are kept, and how long they took; durable after `flush`."""
         if not keys:
             return
+        if (half := len(keys) // 2) and rows.nbytes + sum(one.nbytes for one in samples) > MOST_UNWRITTEN:
+            each = np.broadcast_to(seconds, len(keys))
+            for some in (slice(half), slice(half, None)):  # else a file might be larger than files may be
+                self.append(keys[some], rows[some], samples[some], each[some])
+            return
         records = np.zeros(len(keys), dtype=_record_type(self.dtype))
         records["key"] = np.frombuffer(b"".join(keys), dtype=f"V{KEY_BYTES}")
         records["row"], records["seconds"] = rows, seconds

@@ -63,6 +63,15 @@ def test_the_ledger_grows_over_parts_and_has_what_was_flushed(path, coins, monke
     assert bytes([5]) * 16 not in create_or_resume(path, coins).failures
 
 
+def test_many_rows_at_once_are_in_several_files(path, coins, monkeypatch):
+    monkeypatch.setattr(opening.ledger, "PART_BYTES", 1)
+    monkeypatch.setattr(opening.ledger, "MOST_UNWRITTEN", 100)
+    create_or_resume(path, coins).append(*rows(50), seconds=np.arange(50.0))
+    again = create_or_resume(path, coins)
+    assert (again.read().tolist(), again.seconds().tolist()) == (rows(50)[1].tolist(), list(range(50)))
+    assert len(files_of(path)) > 8
+
+
 def test_of_two_who_write_one_ledger_the_second_is_refused(path, coins):
     one, other = create_or_resume(path, coins), create_or_resume(path, coins)
     for store, start in ((one, 0), (other, 5)):
