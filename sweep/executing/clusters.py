@@ -275,12 +275,19 @@ def _prompt_end(cluster: Any) -> Iterator[None]:
 def _lost_workers_replaced(cluster: Any) -> Iterator[None]:
     """Let a cluster replace the workers that it has lost, such as batch jobs that have ended.
 
-    dask-jobqueue#691: a cluster forgets them, and starts others only when its size is set, here to what it is.
+    dask-jobqueue#691: a cluster forgets them, and starts others only when its size is set, here to what it is.  One
+    whose process died while it started it would keep.
     """
+
+    def replace_lost() -> None:
+        for name in [name for name, one in cluster.workers.items() if one.status.name == "failed"]:
+            del cluster.workers[name]
+        cluster.scale(len(cluster.plan))
+
     if not isinstance(cluster, SpecCluster) or cluster.loop is None:
         yield
         return
-    replacing = PeriodicCallback(lambda: cluster.scale(len(cluster.plan)), REPLACE_EVERY_S * 1000)
+    replacing = PeriodicCallback(replace_lost, REPLACE_EVERY_S * 1000)
     loop = cluster.loop
     loop.add_callback(replacing.start)
     try:

@@ -14,12 +14,13 @@ from contextlib import closing, suppress
 from decimal import Context, Decimal, localcontext
 from functools import partial
 from itertools import combinations
+from types import SimpleNamespace
 
 import dask
 import numpy as np
 import pytest
 import trustme
-from distributed import Client, LocalCluster
+from distributed import Client, LocalCluster, Status
 
 import linksweep
 from linksweep.sweep.executing import clusters, pools
@@ -143,6 +144,8 @@ def test_a_client_computes_the_same_bits_and_goes_on_to_work(capfd, client, tmp_
     with dask.config.set({"distributed.deploy.lost-worker-timeout": 0}):  # workers that die often are given up
         [cluster.sync(worker.close) for worker in [*cluster.workers.values()]]
         wait_until(lambda: not cluster.workers, "a cluster that has lost its workers")
+    # As where the processes of others died while they started.
+    cluster.workers.update(dict.fromkeys(cluster.worker_spec, SimpleNamespace(status=Status.failed)))
     with localcontext(Context(prec=3)):  # which the threads of workers do not have
         here = linksweep.run(noise, tmp_path / "here.zarr", axes=AXES, sampling=sampling, pool="serial")
         there = linksweep.run(noise, tmp_path / "there.zarr", axes=AXES, sampling=sampling, client=client)
