@@ -886,7 +886,7 @@ def plain_points(points: Any) -> dict[str, Any]:
         table |= {name: cells for name, (cells, _) in read.items() if not cells or not isinstance(cells[0], list)}
         units = {name: f" [{unit}]" for name, (_, unit) in read.items() if unit}
         table = {name + units.get(name, ""): one for name, one in table.items()}
-    elif hasattr(points, "columns") and hasattr(points, "to_dict"):
+    elif hasattr(points, "columns") and hasattr(points, "reset_index"):
         if points.index.names != [None] or points.index.tolist() != list(range(len(points))):
             before, points = set(points), points.reset_index(allow_duplicates=True)
             further = {"labels": [str(name) for name in points if name not in before]}

@@ -92,6 +92,7 @@ def sobol(**more):
     return {"design": "sobol", "n": 4, "ranges": {"beta": [1, 2]}} | more
 
 
+POLARS = type("DataFrame", (), {"columns": ["k"], "to_dict": lambda self: {"k": [1]}})()  # of polars
 WRONG = [
     ({"beta": [1.0, 2.0], "kk": [1, 2]}, "points.columns.kk: unknown parameter 'kk'; did you mean 'k'?"),
     (Table({"k": MaskedColumn([1, 2], mask=[True, False])}), "points.columns.k: has no value in row 1"),
@@ -99,7 +100,7 @@ WRONG = [
     ({"beta": [1.0, 2.0], "k": [1]}, "number of values, from 1 to 1,000,000; beta has 2, k has 1"),
     (Table({"beta": [1.0] * u.m}), "points.columns.beta: is in m, and the parameter is in 1/d"),
     *(("nowhere.csv", "no such file"), ("/", "Is a directory"), ("/dev/zero", "is a device")),
-    (pd.Series([1]), "must be a DataFrame, a Table, a mapping of columns, a file or a design"),
+    *((one, "must be a DataFrame, a Table, a mapping of columns") for one in (pd.Series([1]), POLARS)),
     (sobol(design="sobl"), "points.design: input should be 'sobol',"),
     (sobol(n=None), "n = None, ranges = {'beta': [1, 2]}: needs both (--design"),
     (sobol(ranges={"beta": [0, 2]}), "points.ranges.beta: beta = 0: must be a number > 0"),
