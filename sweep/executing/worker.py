@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from threadpoolctl import threadpool_limits
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from linksweep.sweep.code import load_experiment
 from linksweep.sweep.contract import Experiment, NotFiniteError, Outcome, Point, shown
@@ -199,8 +199,8 @@ def limit_threads() -> threadpool_limits:
     return threadpool_limits(1)
 
 
-# The limits of blocks under way in this process, the first of which knows what was there before.
-_limits, _changing = list[threadpool_limits](), threading.Lock()
+# The limits of blocks under way in this process, each with the most threads before: those of the first are the user's.
+_limits, _changing = list[tuple[threadpool_limits, int | None]](), threading.Lock()
 
 
 @contextmanager
@@ -209,18 +209,19 @@ def one_thread() -> Iterator[None]:
     blocks at once, in several threads, the last to end lifts the limit.
     """
     with _changing:
-        _limits.append(limit_threads())
+        most = max((one["num_threads"] for one in threadpool_info()), default=None)
+        _limits.append((limit_threads(), most))
         _let_other_threads_change_limits()
     try:
         yield
     finally:
         with _changing:
-            before = _limits.pop()
+            before, most = _limits.pop()
             if not _limits:
                 for name in ONE_THREAD:
                     os.unsetenv(name)
                 os.environ.update({name: os.environ[name] for name in ONE_THREAD if name in os.environ})
-                threadpool_limits(before.get_original_num_threads()["blas"])  # of what was loaded meanwhile
+                threadpool_limits(most)  # of what was loaded meanwhile
                 before.restore_original_limits()
                 _let_other_threads_change_limits()
 

@@ -46,6 +46,7 @@ WRONG = [
     ({"position_ratio": None}, "", "needs either sigma_pos or position_ratio (sigma_pos = position_ratio x sigma_pm)"),
     ({"range": [12.0, 11.0]}, "range", "[12.0, 11.0]: must be [brightest, faintest], two magnitudes from -5 to 30"),
     ({"floor_pm": 0.0}, "floor_pm", f"0.0{BOUNDS}"),
+    ({"unit": "as"}, "unit", "'as': must be 'mas' or 'uas'"),
     ({"faint_limit": 19.0}, "faint_limit", "19 mag: the table ends at 18 mag"),
     ({"sigma_pm": [[9.0, 0.1], [9.0, 0.2]]}, "sigma_pm", "row 2: magnitude 9 does not come after 9"),
     ({"sigma_pm": [[9.0, 1], [12, math.inf]]}, "sigma_pm", f"row 2, sigma: inf{BOUNDS}"),

@@ -104,6 +104,7 @@ def test_the_view_holds_the_numbers_of_the_dataset_in_their_order(results):
             used, values = used - array.size, np.array(view[part], dtype=float).reshape(array.shape)
             np.testing.assert_allclose(values, factors * array, rtol=1e-12, err_msg=view["name"])
     assert (used, left_out) == (0, [])
+    assert {"component_unit"}.isdisjoint(axis["name"] for axis in actual["axes"])
 
 
 def test_the_view_has_axes_and_integers_exactly_and_knows_what_nobody_asked_for(tmp_path):
