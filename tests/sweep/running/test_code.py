@@ -66,7 +66,7 @@ from pathlib import Path
 L = threading.Lock()
 C = ctypes.CDLL(str(Path(__file__).parent / "c.so"))
 Z = zarr.zeros(1)
-T = [eval("lambda x: x", {"__name__": None})]
+T = [eval("lambda x: x * K", {"__name__": None, "K": 1})]
 @linksweep.experiment(reads=["READS"], packages="pip")
 def f(x: float):
     with L:
@@ -376,8 +376,8 @@ def test_what_has_no_canonical_form_is_named_once_and_declared_files_and_package
         for name in ("m.L, a _thread.lock", "m.T, a function without source", "m.Z, a zarr.core.array.Array"):
             assert (code, f"changes of {name}, are not noticed" in err) == (0, axis == "x=1"), err
         assert "m.C" not in err
-    for name, said in (("k.csv", "file k.csv"), ("c.so", "value m.C")):
-        (tmp_path / "new").write_bytes((tmp_path / name).read_bytes() + b" ")
+    for name, said in (("k.csv", "file k.csv"), ("c.so", "value m.C"), ("m.py", "value None.K is 1")):
+        (tmp_path / "new").write_bytes((tmp_path / name).read_bytes().replace(b": 1}", b": 2}") + b" ")
         (tmp_path / "new").replace(tmp_path / name)
         assert said in sweep("run", "m.py:f", "--axis", "x=1,2,3", "-o", "s.zarr", cwd=tmp_path, code=2)[2]
     monkeypatch.setattr("linksweep.sweep.code.version_of", lambda name: "9.9")

@@ -214,7 +214,7 @@ def test_a_study_has_what_the_command_has_with_each_option(here, case):
     hip.remove_column("ref_epoch")
     hip.rename_column("parallax", "plx")
     hip.write("hip.ecsv")
-    spins = {"mag_min": [0.0, 10.0], "mag_max": [10.0, 30.0]} | {f"omega_{axis}": [0.1, 0.2] for axis in "xyz"}
+    spins = {"mag_min": [10.0, 0.0], "mag_max": [30.0, 10.0]} | {f"omega_{axis}": [0.2, 0.1] for axis in "xyz"}
     Table(spins, units=dict.fromkeys(("omega_x", "omega_y", "omega_z"), "mas/yr")).write("spin.ecsv")
     in_study, in_python = CASES[case]
     results = written(here, satellite="satellite.ecsv", reference="reference.ecsv", **in_study)
