@@ -331,8 +331,8 @@ def first_order(values: Array, places: Sequence[Array], even: bool = False, seed
 
     ``places`` has for each parameter its places (points,) in the unit interval.  The errors are those of a jackknife
     over random parts of the points, and include the contribution of the two shortest waves.  Independent points explain
-    some of the variance by chance, which is subtracted.  For points that are ``even``, spread by a design, this share
-    is not known: half of it is subtracted, and included in the errors.  Raises SweepError for too few points.
+    some of the variance by chance, which is subtracted; its scatter is in the errors.  For points that are ``even``,
+    spread by a design, this share is not known, and half of it is subtracted.  Raises SweepError for too few points.
     """
     n = len(values)
     if n < (least := 2 * POINTS_FOR_EACH + 2):
@@ -346,13 +346,13 @@ def first_order(values: Array, places: Sequence[Array], even: bool = False, seed
         columns = np.column_stack([np.ones(n), waves, values - values.mean()])
         parts = np.array([columns[part == j].T @ columns[part == j] for j in range(int(part.max()) + 1)])
         whole = parts.sum(axis=0)
-        index, chance = _explained(whole)
+        index, chance, scatter = _explained(whole)
         left = np.array([_explained(whole - one)[0] for one in parts])
         variance = (len(left) - 1) / len(left) * np.sum((left - left.mean()) ** 2)
         kept = [*range(1 + shorter), -1]
         truncation = index - _explained(whole[np.ix_(kept, kept)])[0]
-        half = 0.5 * chance if even else 0.0
-        estimated[:, k] = index + half, np.sqrt(variance + truncation**2 + half**2)
+        index += 0.5 * chance if even else 0.0
+        estimated[:, k] = index, np.sqrt(variance + truncation**2 + scatter**2)
     return estimated[0], estimated[1]
 
 
@@ -367,16 +367,18 @@ def _basis(place: Array) -> tuple[Array, int]:
     return np.cos(np.pi * place[:, None] * np.arange(1, count + 1)), count - min(2, count - 1)
 
 
-def _explained(moments: Array) -> tuple[float, float]:
+def _explained(moments: Array) -> tuple[float, float, float]:
     """Return the share of the variance that a regression explains, less the share that it would explain of noise
-    (adjusted R²), and this second share; ``moments`` are the sums of products of 1, the functions and the values.
+    (adjusted R²), this second share, and by how much it scatters; ``moments`` are the sums of products of 1, the
+    functions and the values.
     """
     products, right, squares = moments[:-1, :-1], moments[:-1, -1], moments[-1, -1]
     n = products[0, 0]
     whole = squares - right[0] ** 2 / n
     used = np.linalg.matrix_rank(products, hermitian=True) - 1
     if not whole > 0.0 or n <= used + 1:
-        return float("nan"), float("nan")
+        return float("nan"), float("nan"), float("nan")
     rest = max(0.0, squares - right @ np.linalg.pinv(products, hermitian=True) @ right)
     chance = rest / whole * used / (n - 1 - used)
-    return float(1.0 - rest / whole - chance), float(chance)
+    # a chi2 over its degrees of freedom, and as much again: its law is skewed, and the jackknife sees little of it
+    return float(1.0 - rest / whole - chance), float(chance), float(chance * np.sqrt(4.0 / max(used, 1)))

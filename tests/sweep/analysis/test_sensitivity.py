@@ -208,7 +208,13 @@ def morris(seed):
     return morris_effects(2.0 * a + b**3 + 3.0 * a * c, unit)[:2]
 
 
-COVERED = [(morris, 200, (np.array([3.5, 17 / 18, 1.5]),), 0.88, 0.6)]  # SALib's intervals of 95 % would be 0.4
+def two_values(seed):
+    rng = np.random.default_rng(seed)
+    return first_order(rng.standard_normal(60) + 0.25 * (one := rng.choice([-1.0, 1.0], 60)), [0.5 + 0.25 * one])
+
+
+COVERED = [(two_values, 200, (np.array([1 / 17]),), 0.92, 0.5)]
+COVERED += [(morris, 200, (np.array([3.5, 17 / 18, 1.5]),), 0.88, 0.6)]  # SALib's intervals of 95 % would be 0.4
 COVERED += [slow(saltelli, 60, (ALONE, TOTAL), 0.88, 0.0), slow(noisy_grid, 150, WITHOUT_NOISE, 0.88, 0.0)]
 COVERED += [slow(random_points, 200, (ALONE,), 0.9, 0.3)]
 COVERED += [slow(lambda seed: random_points(seed, 512), 200, (ALONE,), 0.9, 0.3)]
