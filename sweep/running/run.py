@@ -231,12 +231,12 @@ def again_where(store: Store, study: Study, condition: str) -> dict[bytes, Recor
     there = {key[:DIGEST_BYTES] for key in store.rows} | store.failures.keys()
     made = made_by_other_code(store, study)
     old = made | store.failures.keys() if differences_of_code(records_of(store.attributes), study) else made
-    points = [point for point in Grid(study).points() if point.digest in there]
-    met = where_met(study, points, condition, old) if points else ()
+    points = list(Grid(study).points())  # also those that are not there: they, too, say what is compared as text
+    met = where_met(study, points, condition, old)
     record = {"kind": "again", "message": message, "traceback": "", "host": host(), "when": now()}
     again = dict[bytes, Record | None].fromkeys(made.difference(point.digest for point in points))
     for point, is_met in zip(points, met, strict=True):
-        if point.digest in left or (is_met and (point.digest in old or not left)):
+        if point.digest in left or (is_met and point.digest in there and (point.digest in old or not left)):
             again[point.digest] = record
     return again
 

@@ -229,11 +229,13 @@ def test_a_condition_has_the_values_that_the_dataset_shows(tmp_path, axis, condi
         calls.append(k)
         return repr(k)
 
-    study = {"axes": {"k": axis}, "store": tmp_path / "s.zarr", "pool": "serial"}
-    linksweep.run(f, **study)
-    calls.clear()
-    linksweep.run(f, **study, redo=condition)
-    assert sorted(calls, key=repr) == sorted(chosen, key=repr)
+    for there in (axis, axis[:-1]):  # of all, also where some are new
+        study = {"store": tmp_path / f"{len(there)}.zarr", "pool": "serial"}
+        linksweep.run(f, axes={"k": there}, **study)
+        calls.clear()
+        linksweep.run(f, axes={"k": axis}, **study, redo=condition)
+        assert {*calls} == {*chosen, *axis[len(there) :]}
+        assert len(calls) == len({*calls})
 
 
 def test_points_that_are_computed_again_say_so_until_they_are_and_each_is_once(tmp_path):
