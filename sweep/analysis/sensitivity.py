@@ -377,7 +377,7 @@ def _explained(moments: Array) -> tuple[float, float, float]:
     whole = squares - right[0] ** 2 / n
     used = np.linalg.matrix_rank(products, hermitian=True) - 1
     if not whole > 0.0 or n <= used + 1:
-        return float("nan"), float("nan"), float("nan")
+        return (math.nan,) * 3
     rest = max(0.0, squares - right @ np.linalg.pinv(products, hermitian=True) @ right)
     chance = rest / whole * used / (n - 1 - used)
     # a chi2 over its degrees of freedom, and as much again: its law is skewed, and the jackknife sees little of it

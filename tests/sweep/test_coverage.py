@@ -70,15 +70,6 @@ def test_the_law_through_points_that_share_random_numbers(shared):
             assert low <= np.sum(fits["p_value"].values < share) <= high
 
 
-def test_the_diagonal_of_the_covariance_is_the_whole_error(shared):
-    dataset, dof = shared
-    if dataset.attrs["n_cat"] == 1:
-        pytest.skip("the width of one catalogue is its own")
-    variance = np.diagonal(dataset["width_mc_covariance_x"].values, axis1=-2, axis2=-1) * dof / (dof - 2.0)
-    width = dataset["width"].transpose("copy", "x").values
-    assert_covers(np.log(width / true_width(dataset, np.array(X))) / (np.sqrt(variance) / width), dof)
-
-
 def test_levelling_of_points_that_share_random_numbers():
     dataset = copies_of("levelling", 40, 600).isel(copy=slice(200))
     result = fit_levelling(dataset, "width", "x", fall=0.05)
