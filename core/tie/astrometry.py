@@ -310,19 +310,26 @@ class Differences:
 
 
 def differences(
-    satellite: Astrometry, rows: Astrometry, source: Indices, spin: Array | None = None, frames: int = 1
+    satellite: Astrometry,
+    rows: Astrometry,
+    source: Indices,
+    spin: Array | None = None,
+    frames: int = 1,
+    at_rest: float = 2000.0,
 ) -> Differences:
     """Return rows - satellite.  ``source`` (R,) says to which source of the satellite a row belongs.
 
-    A row without an epoch has that of its source.  f is the row minus the exact propagation of the satellite's
-    parameters, and for the position of a single epoch minus the parallax times its factors.  A motion or parallax
-    that the satellite lacks counts as zero here; it is free in the solution, so nothing depends on that.  ``spin`` is
-    a known (5, S) displacement of the sources' parameters that is taken out.  ``frames`` is 1 more than the number of
-    missions whose rows are in frames of their own.
+    A row without an epoch has that of its source, and a source without one that of the row; if it is at rest in the
+    satellite's frame it is where it was at the epoch ``at_rest``.  f is the row minus the exact propagation of the
+    satellite's parameters, and for the position of a single epoch minus the parallax times its factors.  A motion or
+    parallax that the satellite lacks counts as zero here; it is free in the solution, so nothing depends on that.
+    ``spin`` is a known (5, S) displacement of the sources' parameters that is taken out.  ``frames`` is 1 more than the
+    number of missions whose rows are in frames of their own.
     """
     star = satellite.taken(source)
     epoch = np.where(np.isfinite(rows.epoch), rows.epoch, star.epoch)
-    start = np.nan_to_num(np.where(np.isfinite(star.epoch), star.epoch, epoch), nan=2000.0)
+    elsewhere = np.where(star.at_rest[3:].all(axis=0), at_rest, epoch)
+    start = np.nan_to_num(np.where(np.isfinite(star.epoch), star.epoch, elsewhere), nan=2000.0)
     years = np.where(np.isfinite(epoch), epoch - start, 0.0)
     moved = propagated(star.values, star.radial_velocity, start, start + years)
     moved[2:] = np.nan_to_num(moved[2:])

@@ -248,7 +248,7 @@ def eliminate_simple(satellite: Astrometry, rows: Astrometry, taken_out: Array |
     pair, absent = ((3, 4), (0, 1, 2)) if np.all(np.isfinite(rows.errors[3])) else ((0, 1), (2, 3, 4))
     inside, not_inside = list(pair), list(absent)
     complete = np.all(rows.present[inside]) and np.all(satellite.present[inside]) and satellite.further is None
-    same_epoch = np.isnan(rows.epoch) | np.isnan(satellite.epoch) | (rows.epoch == satellite.epoch)
+    same_epoch = np.isnan(rows.epoch) | (rows.epoch == satellite.epoch)
     if not complete or np.any(np.isfinite(rows.errors[not_inside])) or np.any(rows.frame) or not np.all(same_epoch):
         return None
     if pair == (0, 1):
@@ -303,7 +303,7 @@ class Problem:
         if self.weights == "covariance" and np.array_equal(source, np.arange(len(star))):
             left = eliminate_simple(star, rows, taken_out)
         if left is None:
-            offset = differences(star, rows, source, taken_out, self.unknowns.frames)
+            offset = differences(star, rows, source, taken_out, self.unknowns.frames, self.epoch)
             try:
                 left = eliminate(offset, source, star.covariance(), ~star.present.T, self.weights)
             except LinkError as error:
@@ -323,7 +323,7 @@ class Problem:
     def differences(self) -> Differences:
         """Return the differences of all rows, without the effect of the known unknowns."""
         star = self.satellite
-        return differences(star, self.rows, self.source, self.taken_out(star), self.unknowns.frames)
+        return differences(star, self.rows, self.source, self.taken_out(star), self.unknowns.frames, self.epoch)
 
     def objects(self, star: Astrometry) -> tuple[Objects, Array]:
         """Return the data for derivatives, and the epoch of each source minus that of the unknowns."""
@@ -903,7 +903,8 @@ def separation(problem: Problem) -> Array:
     for rows in _blocks(len(problem.rows), BLOCK):
         source = problem.source[rows]
         star = problem.satellite.taken(source)
-        values = differences(star, problem.rows.taken(rows), np.arange(len(source)), problem.taken_out(star))
+        taken_out, each = problem.taken_out(star), np.arange(len(source))
+        values = differences(star, problem.rows.taken(rows), each, taken_out, at_rest=problem.epoch)
         add_separations(largest, source, values, star.covariance(), ~star.present.T)
     return largest
 
