@@ -1,7 +1,6 @@
 """The directions of import are the architecture: this test reads them from the source."""
 
 import ast
-from functools import cache
 from graphlib import TopologicalSorter
 
 from tests.documents import ROOT
@@ -61,11 +60,6 @@ def imported(path):
             yield from (name if name in FILES else file_of(node.module) for name in inner)
 
 
-@cache  # every process collects this file, and one needs it
-def arrows():
-    return {name: set(imported(path)) for name, path in FILES.items()}
-
-
 def is_in(module, places):
     return any(module == place or module.startswith(f"{place}.") for place in places.split())
 
@@ -85,15 +79,10 @@ def is_wrong(name, other):
     return any(is_in(name, who) and not is_in(other, what) for who, what in allowed.items())
 
 
-def test_imports_point_down():
-    assert [f"{name} imports {other}" for name in FILES for other in arrows()[name] if is_wrong(name, other)] == []
-
-
-def test_no_import_goes_in_a_circle():
-    graph = {name: others & FILES.keys() for name, others in arrows().items()}
+def test_imports_point_down_and_never_in_a_circle_and_every_module_is_in_a_package_of_the_list():
+    arrows = {name: set(imported(path)) for name, path in FILES.items()}
+    assert [f"{name} imports {other}" for name in FILES for other in arrows[name] if is_wrong(name, other)] == []
+    graph = {name: others & FILES.keys() for name, others in arrows.items()}
     assert set(TopologicalSorter(graph).static_order()) == set(FILES)
-
-
-def test_every_module_is_in_a_package_of_the_list():
     assert {package_of(name) for name in FILES} == set(PACKAGES)
     assert not [n for n in FILES if package_of(n) == "sweep" and n.count(".") > 1]

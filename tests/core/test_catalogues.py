@@ -117,7 +117,7 @@ def test_catalogues_are_nested(fainter, counts, sky):
         assert long[4, short.shape[1] :].min() >= brighter
 
 
-def test_magnitudes_follow_the_counts_within_each_bin():
+def test_magnitudes_follow_the_counts_within_each_bin_and_seven_stand_at_the_brightest():
     v_mag, limits, counts = quasars(3, 20.0).v_mag, list(TABLE_1), list(TABLE_1.values())
     for k in range(1, len(counts)):
         low, high = counts[k - 1], counts[k]
@@ -125,9 +125,6 @@ def test_magnitudes_follow_the_counts_within_each_bin():
     above = np.concatenate([quasars(seed, 14.5, v_min=14.2).v_mag for seed in range(400)])  # a limit inside a bin
     assert is_log_linear(above, 14.2, 14.5, 28 * (49 / 28) ** ((14.2 - 14.0) / 0.5), 49)
     assert stats.kstest((v_mag[5542:8095] - 18.5) / 0.5, "uniform").pvalue < P_VALUE  # not uniform in V
-
-
-def test_seven_stand_at_the_brightest_magnitude_and_the_others_follow_the_first_slope():
     v_mag = np.stack([quasars(seed, 14.0).v_mag for seed in range(200)])
     assert np.all(np.sum(v_mag == BRIGHTEST, axis=1) == 7)  # 28 (28/49)^2.4 is 7.3
     np.testing.assert_array_equal(quasars(1, BRIGHTEST).v_mag, np.full(7, BRIGHTEST))

@@ -112,17 +112,14 @@ def test_pmra_with_and_without_cos_dec(write):
     assert is_the_four(read(write(renamed), {"pmra": "pm_ra_cosdec"}))
 
 
-def chosen(*names):
-    return {f"{name}_error": ERRORS[f"{name}_error"] for name in names}
-
-
 def test_errors_of_both_motions_or_of_the_position_count_and_the_others_are_zero(write):
-    for names, exact in ((("pmra", "pmdec"), (0, 1)), (("dec", "pmra", "pmdec"), (0,)), (("ra", "dec"), (2, 3))):
-        expected = np.array(list(ERRORS.values())).T * MAS
-        expected[:, list(exact)] = 0.0
-        np.testing.assert_allclose(read(write(GAIA | chosen(*names))).errors.sigma, expected, rtol=1e-14)
-    for names in (("ra",), ("ra", "dec", "pmra"), ("pmdec",)):
-        assert read(write(GAIA | chosen(*names))).errors is None
+    every = np.array(list(ERRORS.values())).T * MAS
+    for there, count in (*((one, one) for one in ("0011", "0111", "1100")), ("1000", ""), ("1110", ""), ("0001", "")):
+        some = {name: values for (name, values), one in zip(ERRORS.items(), there, strict=True) if one == "1"}
+        errors = read(write(GAIA | some)).errors
+        assert (errors is None) == (not count)
+        if count:
+            np.testing.assert_allclose(errors.sigma, every * [float(one) for one in count], rtol=1e-14)
 
 
 @pytest.mark.parametrize("of_side", ["", "reference_"])

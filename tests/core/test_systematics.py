@@ -156,7 +156,7 @@ def test_errors_follow_the_curve_of_the_mission_with_scale_and_floor(model, leng
     np.testing.assert_array_equal(setup.satellite.sigma, setup.sigma)
 
 
-def test_scales_multiply():
+def test_scales_multiply_and_a_floor_dilutes_the_correlations_of_an_object():
     here = point(**FLAT, error_scale=2.0, satellite_error_scale=5.0, reference_error_scale=7.0)
     here |= {"satellite_sigma_pm": 0.5, "reference_sigma_pos": 3.0}
     objects = with_own_errors()
@@ -168,10 +168,6 @@ def test_scales_multiply():
     assert ours.correlation(objects) is objects.errors.correlation  # a scale does not correlate
     with pytest.raises(ValueError, match="has no errors of its own"):
         ours.standard_errors(points.drawn(1, n_obj=3))
-
-
-def test_a_floor_dilutes_the_correlations_of_an_object():
-    objects = with_own_errors(9)
     errors = scenario(point(satellite_errors="catalogue", satellite_floor_pos=1.0, satellite_floor_pm=2.0))
     total = errors.satellite_errors.standard_errors(objects)
     result = errors.satellite_errors.correlation(objects) * total[:, :, None] * total[:, None, :]

@@ -36,7 +36,7 @@ def sweep(function, store, sampling=KEPT, **axes):
 
 
 @pytest.mark.slow
-def test_realisations_are_those_behind_the_statistics(tmp_path):
+def test_realisations_are_those_behind_the_statistics_and_may_be_large(tmp_path):
     axes = {"gain": [1.0, 2.0], "rate": [0.5, 2.0, 3.0]}
     ds = sweep(queue, tmp_path / "s", **axes)
     assert ds.pair_samples.dims == ("gain", "rate", "sample", "k")
@@ -52,12 +52,8 @@ def test_realisations_are_those_behind_the_statistics(tmp_path):
     assert "wait_samples" not in sweep(queue, tmp_path / "none", {"n_sim": 60}, gain=[1.0])
     with pytest.raises(SweepError, match="keep_samples"):
         sweep(queue, tmp_path / "s", {"n_sim": 1200, "seed": 3}, gain=[1.0])
-
-
-@pytest.mark.slow
-def test_realisations_may_be_large(tmp_path):
     images = experiment(outputs=[Output("n", statistics="mean")])(lambda rng: {"n": rng.poisson(1.0, (800, 800))})
-    ds = sweep(images, tmp_path / "s", KEPT | {"n_sim": 3})
+    ds = sweep(images, tmp_path / "large", KEPT | {"n_sim": 3})
     np.testing.assert_allclose(ds.n_samples.mean("sample"), ds.n_mean, rtol=1e-12)
 
 

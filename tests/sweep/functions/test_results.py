@@ -160,7 +160,7 @@ def test_what_is_no_result_is_refused_by_name(tmp_path):
     check_refused(REFUSED | {"twice": twice}, {"y": 1.0}, tmp_path)
 
 
-def test_what_is_declared_is_held_to(tmp_path):
+def test_what_is_declared_is_held_to_and_a_tuple_has_the_outputs_in_their_order(tmp_path):
     t = np.array([0.0, 1.0, 2.0])
     outputs = [Output("n", dims=("time",), coords={"time": (t, "d")}, unit="kg"), Output("m", dims=("time",))]
     good = {"n": [1, 2, 3], "m": t}
@@ -175,6 +175,11 @@ def test_what_is_declared_is_held_to(tmp_path):
     check_refused(wrong, good, tmp_path, outputs)
     ds = xr.open_zarr(tmp_path / "s.zarr")
     assert (ds.time.values.tolist(), ds.time.units, ds.n.units) == (t.tolist(), "d", "kg")
+    outputs = [Output("curve", dims=("time",), coords={"time": [0.0, 1.0]}), Output("peak")]
+    short, folder = {"short": ((1.0,), "a tuple of 1 values, expected one for")}, tmp_path / "tuple"
+    check_refused(short, ([1.0, 2.0], 2.0), folder, outputs)
+    ds = xr.open_zarr(folder / "s.zarr").isel(case=0).load()
+    assert (ds.curve.values.tolist(), ds.peak.item()) == ([1.0, 2.0], 2.0)
 
 
 def test_later_points_are_compared_by_name_with_the_first(tmp_path):
@@ -219,13 +224,6 @@ def test_a_vectorised_function_gets_numbers_beside_texts_and_quantities_as_what_
     for f, axis, expected in (lengths, numbers, mixed):
         ds = run(experiment(vectorised=True)(f), tmp_path / "s", axes={"x": axis}, pool="serial", fresh=True)
         assert ds.result.values.tolist() == expected
-
-
-def test_a_tuple_has_the_declared_outputs_in_order(tmp_path):
-    outputs = [Output("curve", dims=("time",), coords={"time": [0.0, 1.0]}), Output("peak")]
-    check_refused({"short": ((1.0,), "a tuple of 1 values, expected one for")}, ([1.0, 2.0], 2.0), tmp_path, outputs)
-    ds = xr.open_zarr(tmp_path / "s.zarr").isel(case=0).load()
-    assert (ds.curve.values.tolist(), ds.peak.item()) == ([1.0, 2.0], 2.0)
 
 
 @pytest.mark.slow

@@ -68,13 +68,14 @@ def test_other_axes_have_the_scale_on_which_they_are_more_even(x, scale):
     assert scales(results(x), linear=["x"])[0] == "linear"
 
 
-def test_numbers_of_six_hundred_decades_are_all_in_view():
+def test_numbers_of_six_hundred_decades_are_all_in_view_and_integers_have_ticks_at_integers():
     x = 10.0 ** np.arange(-300.0, 301.0, 50.0)
     [axes] = linksweep.plot(results(x).assign(y=("x", x)), "lines").axes
     for low, high in (axes.get_xlim(), axes.get_ylim()):
         assert (low < 1e-299, high > 1e299) == (True, True)
     with pytest.raises(linksweep.SweepError, match="y has only numbers below 1e-286, which a linear axis cannot show"):
         linksweep.plot(results(x).assign(y=("x", 1e-300 * np.arange(13.0))))
+    assert not (linksweep.plot(results(np.arange(1, 4))).axes[0].get_xticks() % 1.0).any()
 
 
 def test_a_study_chooses_and_a_call_overrides_it(tmp_path):
@@ -187,7 +188,7 @@ def test_maps_of_truth_values_have_two_colours(tmp_path):
     assert linksweep.plot(gap, "map").axes[0].collections[0].get_array().shape == (3, 2)
 
 
-def test_a_series_over_days_is_a_line_over_days(tmp_path):
+def test_a_series_over_days_is_a_line_over_days_a_figure_may_be_at_a_date_and_a_legend_has_its_times(tmp_path):
     days = np.datetime64("2024-01-01", "ns") + np.arange(60) * np.timedelta64(1, "D")
     tide = xr.DataArray(np.cos(np.arange(60) / 9.0), {"day": days}, ("day",), "height")
     ds = linksweep.run(lambda rate: rate * tide, tmp_path / "s.zarr", axes={"rate": [1.0, 2.0]}, pool="serial")
@@ -199,6 +200,11 @@ def test_a_series_over_days_is_a_line_over_days(tmp_path):
         linksweep.find(ds, "height > 0", over="day")
     with pytest.raises(linksweep.SweepError, match="first cannot be drawn along day; its axes are rate"):
         linksweep.plot(ds.assign(first=ds.height[:, 0].drop_vars("day")), variables=["height", "first"])
+    axes = {"day": ["2024-01-01", "2024-01-03"], "start": ["2024-01-01 06:30", "2024-01-01 18:00"], "n": [1, 2, 3]}
+    ds = linksweep.run(lambda day, start, n: n + len(day + start), tmp_path / "t.zarr", axes=axes, pool="serial")
+    figure = json.dumps({"figure": {"at": {"day": "2024-01-03"}, "over": ["n"]}})
+    [panel] = linksweep.plot(ds.assign_attrs(study_document=figure)).axes
+    assert set(axes["start"]) <= set(panel.get_legend_handles_labels()[1])
 
 
 @pytest.mark.parametrize(("kind", "year"), [("axes", 2024), ("points", 2024), ("axes", 1600)])
@@ -207,14 +213,6 @@ def test_an_axis_of_dates_has_their_distances(tmp_path, kind, year):
     ds = linksweep.run(lambda day: float(day > days[0]), tmp_path / "s.zarr", **{kind: {"day": days}}, pool="serial")
     [axes] = linksweep.plot(ds).axes
     assert np.diff(axes.lines[0].get_xdata()).tolist() == [2.0, 150.0]
-
-
-def test_a_study_names_a_date_of_its_figure_and_a_legend_its_times(tmp_path):
-    axes = {"day": ["2024-01-01", "2024-01-03"], "start": ["2024-01-01 06:30", "2024-01-01 18:00"], "n": [1, 2, 3]}
-    ds = linksweep.run(lambda day, start, n: n + len(day + start), tmp_path / "s.zarr", axes=axes, pool="serial")
-    figure = json.dumps({"figure": {"at": {"day": "2024-01-03"}, "over": ["n"]}})
-    [panel] = linksweep.plot(ds.assign_attrs(study_document=figure)).axes
-    assert set(axes["start"]) <= set(panel.get_legend_handles_labels()[1])
 
 
 @pytest.mark.parametrize("known", [False, True])
@@ -269,7 +267,3 @@ def test_names_below_an_axis_do_not_cover_each_other(tmp_path, names, width, tur
     boxes = [text.get_window_extent() for text in texts]
     assert turned or all(left.x1 < right.x0 for left, right in pairwise(boxes))
     assert axes.get_window_extent().height > 0.6 * axes.figure.bbox.height
-
-
-def test_integers_have_ticks_at_integers():
-    assert not (linksweep.plot(results(np.arange(1, 4))).axes[0].get_xticks() % 1.0).any()

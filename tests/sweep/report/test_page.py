@@ -55,7 +55,7 @@ def sentences(dataset):
     return " ".join(answer.sentences)
 
 
-def test_the_answer_adds_the_parts_of_an_error_counts_what_agrees_with_the_prediction_and_says_what_is_missing():
+def test_the_answer_adds_parts_of_errors_counts_what_agrees_and_says_what_is_missing_alike_or_not_finite():
     error = 0.03 * np.array(VALUES)
     predicted = np.array(VALUES) * [[1.0, 1.1, 1.0], [1.0, 1.0, 1.25]]  # off by 1 / 1.1 and 1 / 1.25
     text = sentences(grid(VALUES, mc_error=error, catalogue_error=4.0 / 3.0 * error, predicted=predicted))
@@ -70,6 +70,13 @@ def test_the_answer_adds_the_parts_of_an_error_counts_what_agrees_with_the_predi
     assert not any("What changes it" in sentences(made.grid([y], 1.0, x=np.arange(100.0))) for y in noise)
     assert "What changes it" not in sentences(made.grid([np.arange(10.0)], np.nan, x=np.arange(10.0)))
     assert "n by up to 9 mas" in sentences(made.grid([np.arange(10.0)], 0.5, x=np.arange(10.0)))
+    for value, phrase in (
+        *((np.full((2, 3), 7.0), "7 mas"), ([[1.0, np.inf, 2.0], [1.0] * 3], "over 5 of 6 points.")),
+        ([[np.nan, np.nan, 3.0], [np.nan] * 3], "3 mas at model=old, size=4"),
+        ([[2.0, 2.0 + 3e-11, 2.0]] * 2, "between 2 mas (model=old, size=1) and 2.00000000003 mas (model=old, size=2)"),
+        ([[0.3, 0.1 + 0.2, 0.3]] * 2, "It is 0.3 mas at 6 points, except for rounding."),
+    ):
+        assert phrase in sentences(grid(value))
 
 
 @pytest.mark.parametrize("undone", [Status.MISSING, slow(Status.FAILED)])
@@ -196,16 +203,6 @@ def test_the_answer_names_range_places_and_what_surely_changes_it(seed, error, l
     said = re.findall(r"(model|size) by (?:a factor of )?up to ([\d.]+)( uas)?", text)
     actual = {axis: float(number) * (1e-3 if unit else 1.0) for axis, number, unit in said}
     assert (actual, [*actual]) == (pytest.approx(expected, rel=6e-3), sorted(expected, key=lambda one: -expected[one]))
-
-
-def test_the_answer_names_what_is_alike_or_not_finite():
-    for value, phrase in (
-        *((np.full((2, 3), 7.0), "7 mas"), ([[1.0, np.inf, 2.0], [1.0] * 3], "over 5 of 6 points.")),
-        ([[np.nan, np.nan, 3.0], [np.nan] * 3], "3 mas at model=old, size=4"),
-        ([[2.0, 2.0 + 3e-11, 2.0]] * 2, "between 2 mas (model=old, size=1) and 2.00000000003 mas (model=old, size=2)"),
-        ([[0.3, 0.1 + 0.2, 0.3]] * 2, "It is 0.3 mas at 6 points, except for rounding."),
-    ):
-        assert phrase in sentences(grid(value))
 
 
 def test_infinity_and_outputs_that_are_always_missing_are_named(tmp_path):

@@ -308,7 +308,7 @@ def test_a_value_counts_where_it_is_bound_whoever_imports_it(tmp_path, sweep, st
     assert f"value m.V ({tmp_path}/m.py, line 2)" in err
 
 
-def test_a_function_that_a_notebook_reloads_by_itself_is_that_of_its_file(tmp_path, monkeypatch):
+def test_a_function_that_a_notebook_reloads_is_that_of_its_file_and_what_a_notebook_has_no_code(tmp_path, monkeypatch):
     (tmp_path / "reloaded.py").write_text("def g(x: int):\n    return [y for y in (x,)]\n")
     monkeypatch.syspath_prepend(tmp_path)
     g, new, names = importlib.import_module("reloaded").g, "def g(x: int):\n    return [3 * y for y in (x,)]\n", {}
@@ -319,17 +319,13 @@ def test_a_function_that_a_notebook_reloads_by_itself_is_that_of_its_file(tmp_pa
     exec(compile(new, g.__code__.co_filename, "exec"), names)  # as IPython's autoreload
     g.__code__ = names["g"].__code__
     assert run().result.values.tolist() == [3, 6]
-
-
-def test_what_a_notebook_and_caches_of_libraries_have_is_no_code(tmp_path, monkeypatch):
     (tmp_path / "cells.py").write_text(CELLS)
-    monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setitem(sys.modules, "IPython", cells := importlib.import_module("cells"))
     hidden = cells.shell.user_ns_hidden = {"In": []}
     vars(cells).update(hidden)
     for n in (1, 2):
         hidden["In"].append(cells.shell.__dict__.setdefault(f"cell {n}", n))
-        ds = linksweep.run(cells.f, tmp_path / "s.zarr", axes={"x": range(n)}, pool="serial", progress=False)
+        ds = linksweep.run(cells.f, tmp_path / "t.zarr", axes={"x": range(n)}, pool="serial", progress=False)
     assert ds.f.values.tolist() == [5, 6]
 
 

@@ -146,7 +146,7 @@ def test_objects_of_classes_that_are_there_twice_are_refused(tmp_path, monkeypat
         linksweep.run(module.g, tmp_path / "s", axes=axes)
 
 
-def test_what_may_be_none_can_be_none(tmp_path, sweep):
+def test_what_may_be_none_infinite_or_nan_can_be_and_large_defaults_are_left_as_they_are(tmp_path, sweep):
     text = "def f(a: Optional[float] = None, b: int | None = 3, name: str = 'x', s: str | None = None, c=None):\n"
     text = f"from typing import Optional\n{text}    return {{'text': f'{{a}} {{b}} {{name}} {{s!r}} {{c!r}}'}}\n"
     (tmp_path / "m.py").write_text(text)
@@ -157,17 +157,14 @@ def test_what_may_be_none_can_be_none(tmp_path, sweep):
     assert text.sel(s="None").values.tolist() == ["None None 1e3 None False", "1.0 None 1e3 None False"]
     assert text.sel(s="abc").values.tolist() == ["None None 1e3 'abc' False", "1.0 None 1e3 'abc' False"]
     assert sweep("reproduce", "s.zarr", "--at", "a=None,b=3,name=True,s=None", cwd=tmp_path)[0] == 0
-
-
-def test_infinity_and_nan_are_values_of_functions_and_large_defaults_are_left_as_they_are(tmp_path, sweep):
     text = "def f(x: float = 1.0, p: float = float('inf'), q=float('nan'), n=2**70):\n    return repr((x, p, q, n))\n"
     (tmp_path / "m.py").write_text(text)
     for axis in ("x=2,3", "p=1,inf,nan", "q=inf"):
-        sweep("run", "m.py:f", "--axis", axis, "--exclude", "p>1,x=3", "-o", "s.zarr", "-q", cwd=tmp_path, code=0)
-    actual = {*linksweep.open(tmp_path / "s.zarr").f.to_series()} - {""}
+        sweep("run", "m.py:f", "--axis", axis, "--exclude", "p>1,x=3", "-o", "t.zarr", "-q", cwd=tmp_path, code=0)
+    actual = {*linksweep.open(tmp_path / "t.zarr").f.to_series()} - {""}
     values = [(2.0, "inf", "nan"), (1.0, "1.0", "nan"), (1.0, "inf", "nan"), (1.0, "nan", "nan"), (1.0, "inf", "inf")]
     assert actual == {f"({x}, {p}, {q}, {2**70})" for x, p, q in values}
-    assert "every bit" in sweep("reproduce", "s.zarr", "--at", "x=1,p=nan,q=nan", cwd=tmp_path)[2]
+    assert "every bit" in sweep("reproduce", "t.zarr", "--at", "x=1,p=nan,q=nan", cwd=tmp_path)[2]
 
 
 def test_where_a_declared_parameter_has_no_effect_there_is_one_point_without_it(tmp_path, sweep):
@@ -318,12 +315,6 @@ def test_conditions_of_any_depth_hold_at_each_point_wherever_values_come_from(tm
             linksweep.run(runs[1][0] | {"experiment": chained, "when": {**when, "b": {"a": ["w"]}}}, store)
 
 
-def test_bounds_are_compared_as_integers_beyond_2_to_53_too(tmp_path):
-    axes, bounds = {"n": [2**60 + k for k in range(4)]}, [{"n": {"below": 2**60 + 1}}, {"n": {"above": 2**60 + 2}}]
-    ds = linksweep.run(lambda n: n % 4, tmp_path / "s", axes=axes, exclude=bounds, pool="serial")
-    assert ds.status.values.tolist() == [3, 1, 1, 3]
-
-
 @pytest.mark.parametrize("axis", few(2, ALIKE))
 def test_conditions_tell_values_from_others_that_are_alike_and_objects_by_their_labels_too(tmp_path, axis):
     rows = linksweep.run(lambda k: repr(k) + "", tmp_path / "t", points={"k": [*axis, axis[0]]}, pool="serial")
@@ -341,7 +332,7 @@ def test_conditions_tell_values_from_others_that_are_alike_and_objects_by_their_
             assert {*ds.result.values[ds.status.values == 1]} == expected
 
 
-def test_only_the_script_tries_failed_points_of_its_objects_again(here, sweep):
+def test_only_the_script_computes_points_of_its_objects_again(here, sweep):
     text = "import os\ndef g(x, m: float = 1.0):\n    if m == 2.0 and not os.path.exists('mended'):\n"
     (here / "m.py").write_text(f"{text}        raise ValueError('broken')\n    return m * len(str(x))\n")
 
@@ -360,6 +351,16 @@ def test_only_the_script_tries_failed_points_of_its_objects_again(here, sweep):
     for how, words in (("fresh redo", "fresh and redo do"), ("fresh retry", "do not go"), ("retry", "no store is")):
         with pytest.raises(linksweep.SweepError, match=words):
             run(dates, "t", **dict.fromkeys(how.split(), "old"))
+    f = "def f(x=None, y: int = 2):\n    return repr((x, y))\n"
+    Path("m.py").write_text(f"{f}\ndef g(rng, x=None):\n    return x is None\n")
+    for name, more, changed in (("f", {}, "--redo=y > 1"), ("g", {"sampling": {"n_sim": 60}}, "--set=n_sim=600")):
+        linksweep.run(f"m.py:{name}", f"{name}.zarr", axes={"x": [(1, "a"), 1]}, pool="serial", **more)
+        before = linksweep.open(f"{name}.zarr")
+        code, _, err = sweep("run", f"m.py:{name}", "--axis", "x=1,2", "-o", f"{name}.zarr", changed)
+        assert (code, "only its script can make again" in err) == (2, True), err
+        assert linksweep.open(f"{name}.zarr").identical(before)
+    assert sweep("run", "m.py:f", "--axis", "x=1,2", "-o", "f.zarr", "--verify", "3")[0] == 0
+    assert linksweep.open("f.zarr").f.values.tolist() == ["((1, 'a'), 2)", "(1, 2)", "(2, 2)"]
 
 
 @given(runs=st.lists(st.tuples(st.booleans(), NUMBERS), max_size=4))
@@ -378,7 +379,7 @@ def test_equal_numbers_are_one_point_of_the_type_that_came_first(tmp_path_factor
         assert sorted(shown) == sorted((value, repr(one)) for value, one in first.items())
 
 
-def test_integers_of_a_file_stay_integers_when_a_row_with_a_fraction_is_appended(here):
+def test_integers_of_a_file_stay_integers_beside_fractions_and_bounds_beyond_2_to_53_are_exact(here):
     for rows, store in (("0 2", "s"), ("0 2 1.5", "s"), ("0 2 1.5", "t")):
         (here / "x.csv").write_text("\n".join(["x", *rows.split()]))
         ds = linksweep.run(lambda x: repr(x) + "", store, points="x.csv", pool="serial")
@@ -386,6 +387,9 @@ def test_integers_of_a_file_stay_integers_when_a_row_with_a_fraction_is_appended
     for store, asked in (("u", {"fixed": {"x": 2}}), ("u", {"axes": {"x": [2.0]}}), ("v", {"points": {"x": [2, 2.0]}})):
         ds = linksweep.run(lambda x: repr(x) + "", store, pool="serial", **asked)
         assert {*ds.result.values.flat} == {"2"}  # the type that came first
+    axes, bounds = {"n": [2**60 + k for k in range(4)]}, [{"n": {"below": 2**60 + 1}}, {"n": {"above": 2**60 + 2}}]
+    ds = linksweep.run(lambda n: n % 4, "w", axes=axes, exclude=bounds, pool="serial")
+    assert ds.status.values.tolist() == [3, 1, 1, 3]
 
 
 Level, Word = enum.IntEnum("Level", "LOW HIGH"), enum.StrEnum("Word", {"YES": "y"})
@@ -402,19 +406,6 @@ def test_members_of_enumerations_of_numbers_and_texts_are_what_they_are(tmp_path
         ds = linksweep.run(f, tmp_path / f.__name__, axes={"m": values}, pool="serial")
         assert ds.m.values.tolist() == labels
         assert ds[f.__name__].values.tolist() == [type(v).__name__ if labels != [1, 2] else "int" for v in values]
-
-
-def test_objects_of_other_runs_are_never_computed_without_their_script(here, sweep):
-    f = "def f(x=None, y: int = 2):\n    return repr((x, y))\n"
-    Path("m.py").write_text(f"{f}\ndef g(rng, x=None):\n    return x is None\n")
-    for name, more, changed in (("f", {}, "--redo=y > 1"), ("g", {"sampling": {"n_sim": 60}}, "--set=n_sim=600")):
-        linksweep.run(f"m.py:{name}", f"{name}.zarr", axes={"x": [(1, "a"), 1]}, pool="serial", **more)
-        before = linksweep.open(f"{name}.zarr")
-        code, _, err = sweep("run", f"m.py:{name}", "--axis", "x=1,2", "-o", f"{name}.zarr", changed)
-        assert (code, "only its script can make again" in err) == (2, True), err
-        assert linksweep.open(f"{name}.zarr").identical(before)
-    assert sweep("run", "m.py:f", "--axis", "x=1,2", "-o", "f.zarr", "--verify", "3")[0] == 0
-    assert linksweep.open("f.zarr").f.values.tolist() == ["((1, 'a'), 2)", "(1, 2)", "(2, 2)"]
 
 
 @pytest.mark.parametrize("rows", few(2, [f(ROWS) for f in (np.array, pd.DataFrame, xr.DataArray, np.ma.array, Column)]))

@@ -100,7 +100,7 @@ def test_a_link_of_positions_alone_is_as_precise_as_its_orientation(tmp_path):
     assert linksweep.run(timing, tmp_path / "t", pool="serial")["n_sim_done"].item() < 512
 
 
-def test_what_is_alike_at_all_realisations_has_no_error_and_does_not_hold_up_a_precision(tmp_path):
+def test_what_is_alike_has_no_error_and_does_not_hold_up_a_precision_as_an_unknown_error_does(tmp_path):
     def walk(*, rng, n_sim):
         steps = rng.normal(3.0, 1.0, (n_sim, 2))
         return {"path": np.cumsum(np.concatenate([np.zeros((n_sim, 1)), steps], axis=1), axis=1)}
@@ -109,9 +109,6 @@ def test_what_is_alike_at_all_realisations_has_no_error_and_does_not_hold_up_a_p
     assert dataset["n_sim_done"].item() == 5120  # 4096, where what is not known counts no more, and a quarter
     error = dataset["path_mean_mc_error"]
     assert (np.isnan(error).values.tolist(), "all are alike" in error.description) == ([True, False, False], True)
-
-
-def test_a_quantile_goes_on_until_its_error_is_known(tmp_path):
     w = Output("w", statistics=["q99.9"])
     waits = experiment(outputs=[w])(lambda rng, n_sim: {"w": rng.exponential(size=n_sim)})
     sampling = {"n_sim": 64, "precision": 0.5}

@@ -137,7 +137,7 @@ def test_nothing_of_a_scripts_own_options(here, name, monkeypatch):
     assert SECRET.encode() not in everything_in(here)
 
 
-def test_the_options_of_sweep_without_secrets(tmp_path, sweep_here):
+def test_neither_the_options_of_sweep_nor_addresses_have_secrets(tmp_path, sweep_here):
     (tmp_path / "double.py").write_text(SCRIPT)
     options = ("--axis", "x=1,2", "--log", "x.log", "-o", "s.zarr")
     scheduler = f"tcp://me:{SECRET}@127.0.0.1:1/?token={SECRET}"
@@ -147,9 +147,6 @@ def test_the_options_of_sweep_without_secrets(tmp_path, sweep_here):
     kept = everything_in(tmp_path)
     assert b"sweep run double.py:double --axis x=1,2 --log x.log" in kept
     assert SECRET.encode() not in kept
-
-
-def test_addresses_have_no_secrets():
     for scheme, user, host, rest in itertools.product(SCHEMES, USERS, HOSTS, RESTS):
         for around in ("{}", "--scheduler={}", "run -o '{}' x", '"{}"'):
             said = without_secrets(around.format(f"{scheme}://{user}{host}{rest}"))

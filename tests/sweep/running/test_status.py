@@ -119,13 +119,21 @@ def run_f(tmp_path, sweep_here):
     return run
 
 
-def test_quiet_prints_the_table_and_errors_and_verbose_each_point(run_f):
+def test_quiet_prints_the_table_and_errors_verbose_each_point_and_the_log_has_everything(run_f, tmp_path):
     code, out, err = run_f("--quiet", fails="False")
     assert (code, err, "f_mean" in out) == (0, "", True)
     code, _, err = run_f("-q", "--fresh")
     assert (code, len(err.splitlines()), err.startswith("1 point failed")) == (1, 1, True)
     report = sorted(line for line in run_f("--verbose", "--fresh")[2].splitlines() if line.startswith("x="))
     assert report == ["x=0.0: done", "x=1.0: done", "x=2.0: failed (exception)", "x=3.0: done", "x=4.0: done"]
+    assert run_f("--quiet", "--fresh", "--log", "run.log")[0] == 1
+    first = (tmp_path / "run.log").read_text()
+    assert re.search(r"^\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} INFO 5 points; [\d,]+ realisations", first, re.MULTILINE)
+    failed = "ERROR x=2.0: failed (exception): ValueError: no root at 2.0"
+    assert all(words in first for words in ("DEBUG x=1.0: done", failed, "realisations/s"))
+    assert first.count("Traceback (most recent call last)") == first.count("raise ValueError(f") == 1
+    run_f("--log", "run.log")
+    assert (tmp_path / "run.log").read_text().startswith(first)
 
 
 def test_a_run_that_goes_on_counts_its_work_as_its_points(run_f, sweep_here, tmp_path, monkeypatch):
@@ -136,17 +144,6 @@ def test_a_run_that_goes_on_counts_its_work_as_its_points(run_f, sweep_here, tmp
     lines = re.findall(r"(\d+)/10 points \((\d+) % of the work", err)
     assert lines
     assert all(10 * int(points) == int(percent) for points, percent in lines)
-
-
-def test_the_log_has_everything_with_times_and_tracebacks_and_grows(run_f, tmp_path):
-    assert run_f("--quiet", "--log", "run.log")[0] == 1
-    first = (tmp_path / "run.log").read_text()
-    assert re.search(r"^\d{4}-\d\d-\d\d \d\d:\d\d:\d\d,\d{3} INFO 5 points; [\d,]+ realisations", first, re.MULTILINE)
-    failed = "ERROR x=2.0: failed (exception): ValueError: no root at 2.0"
-    assert all(words in first for words in ("DEBUG x=1.0: done", failed, "realisations/s"))
-    assert first.count("Traceback (most recent call last)") == first.count("raise ValueError(f") == 1
-    run_f("--log", "run.log")
-    assert (tmp_path / "run.log").read_text().startswith(first)
 
 
 def test_code_that_changes_its_process_as_it_is_imported_moves_no_store_and_silences_no_run(tmp_path, sweep_here):

@@ -204,15 +204,12 @@ def test_what_is_wrong_is_refused_and_nothing_is_written(folder, stars, argument
     assert {path: path.read_bytes() for path in folder.iterdir()} == before
 
 
-def test_problems_of_all_tables_come_at_once(folder):
+def test_problems_of_all_tables_come_at_once_and_a_radius_that_pairs_everything_is_bad_input(folder):
     star_table(ra=[np.nan] * 4, TYC1=[0] * 4).write("stars.fits", overwrite=True)
     Table({"ra": [100.0], "dec": [2.0], "PGC": [-1]}).write("bad.ecsv")
     said = run("stars.fits", "bad.ecsv", "--error", "1", "--supplement", "none.fits").output
     messages = "no ra in row 1, 2, 3, 4", "a TYC1 outside 1..9537", "none.fits: no such file"
     assert all(words in said for words in (*messages, "bad.ecsv: a negative PGC number in row 1 (-1)")), said
-
-
-def test_a_radius_that_pairs_everything_is_bad_input(folder):
     rng = np.random.default_rng(1)
     n = 200_000
     for name in ("many", "more"):
@@ -226,7 +223,7 @@ def table_of(rows):
     return galaxy_table(pd.DataFrame(rows, columns=["TYC1", "TYC2", "TYC3", "PGC", "ra", "dec", "class"]))
 
 
-def test_the_table_is_read_back_as_it_was_written(tmp_path):
+def test_the_table_is_read_back_as_it_was_written_and_refused_where_a_number_does_not_fit(tmp_path):
     rng, n = np.random.default_rng(1), 500
     columns = [rng.integers(1, limit + 1, n) for limit in (9537, 12121, 3, 99999)]
     columns += [rng.integers(0, 36_000_000_000, n) / 1e8, rng.integers(-9_000_000_000, 9_000_000_001, n) / 1e8]
@@ -236,9 +233,6 @@ def test_the_table_is_read_back_as_it_was_written(tmp_path):
     back = read_galaxy_table(tmp_path / "t.dat")
     for name, values in zip(back.colnames, (*columns, [LETTERS[name] for name in classes]), strict=True):
         np.testing.assert_array_equal(back[name], values)
-
-
-def test_a_galaxy_without_pgc_number_or_with_a_long_one_does_not_fit():
     with pytest.raises(linksweep.SweepError) as error:
         table_of([(1, 13, 1, 0, 0.0, 0.0, "certain"), (1, 14, 1, 100_000, 0.0, 0.0, "certain")])
     words = "TYC 1-13-1 has no PGC number\nTYC 1-14-1: PGC = 100000 does not fit bytes"

@@ -177,7 +177,7 @@ def test_units_in_names_and_errors_of_parts_are_found(tmp_path):
     np.testing.assert_allclose([read.quantity(name)[0] for name in ("ra", "dec")], [15.0, -30.0])
 
 
-def test_a_table_of_vizier(tmp_path):
+def test_a_table_of_vizier_and_hipparcos_2_with_its_readme(tmp_path):
     table = read_table(written(tmp_path, "asu.tsv", VIZIER))
     assert table["HIP"].tolist() == [1, 2]
     assert list(table["Name"]) == ["A", "B #2"]
@@ -187,9 +187,6 @@ def test_a_table_of_vizier(tmp_path):
     np.testing.assert_allclose(ra, Angle(["0h0m0.22s", "0h0m0.91s"]).deg, rtol=1e-14)
     np.testing.assert_allclose(dec, Angle(["1d5m20.4s", "-0d29m55.8s"]).deg, rtol=1e-14)
     np.testing.assert_allclose(Columns(table).quantity("ra"), [np.degrees(0.0000159148), np.nan])
-
-
-def test_hipparcos_2_with_its_readme(tmp_path):
     written(tmp_path, "ReadMe", HIP2)
     dec = np.degrees([0.0190068680, -0.3403239102])
     for name, content in (("hip2.dat", HIP2_ROWS.encode()), ("hip2.dat.gz", gzip.compress(HIP2_ROWS.encode()))):

@@ -20,16 +20,13 @@ KINDS = ("scaled", "jackknife", "formal")
 CLIPS = ("none", "discrepancy:3")
 
 
-def test_icrf2_against_icrf3():
+def test_icrf2_against_icrf3_and_timing_on_de200_against_vlbi():
     link = linksweep.tie("icrf3", "icrf2", degree=2, clip="rayleigh")
     assert (int(link.n_sources_matched), int(link.n_sources)) == (3410, 3237)
     np.testing.assert_array_equal(np.round(1000.0 * link.estimate[:6]), [11, 14, -1, 22, 63, 89])
     np.testing.assert_array_equal(np.round(1000.0 * link.error[:6]), [4, 4, 3, 4, 4, 4])
     assert link.attrs["sign"] == "reference-satellite"
     assert list(link.attrs["notes"]) == ["of orientation and spin the tables determine only the orientation"]
-
-
-def test_timing_on_de200_against_vlbi():
     link = linksweep.tie(*PULSARS)
     assert int(link.n_sources) == 9
     np.testing.assert_allclose(link.estimate, [-0.90, -13.04, -12.18], atol=0.035)
@@ -76,7 +73,7 @@ def test_the_amplitudes_are_the_field_that_was_fitted():
     np.testing.assert_allclose(link.amplitude_covariance, made @ link.covariance.values @ made.T, atol=1e-9)
 
 
-def test_a_difference_is_at_the_epoch_and_in_the_sign_of_the_first():
+def test_a_difference_is_at_the_epoch_and_in_the_sign_of_the_first_or_refused_where_there_is_none():
     tables = *PULSARS[:2], "orientation,spin"
     one = linksweep.tie(*tables, epoch=2010.0)
     for sign in ("reference-satellite", "satellite-reference"):
@@ -85,6 +82,12 @@ def test_a_difference_is_at_the_epoch_and_in_the_sign_of_the_first():
         assert (abs(made.estimate) < 1e-4 * made.error).all()
         np.testing.assert_allclose(made.covariance, 2.0 * one.covariance.values, rtol=1e-3)
         assert made.attrs["sign"] == "reference-satellite"
+    one, later = (linksweep.tie(*PULSARS, epoch=epoch) for epoch in (2010.0, 2016.0))
+    beside = linksweep.tie(*PULSARS, epoch=2010.0, known_orientation=[1.0, 0.0, 0.0])
+    plan = linksweep.forecast("psrpi", "psrpi", "orientation")
+    for second, why in ((later, "no omega_x"), (plan, "two links"), (beside, "known_orientation is .* and none")):
+        with pytest.raises(linksweep.SweepError, match=why):
+            linksweep.difference(one, second)
 
 
 WAYS = [("jackknife", "sandwich"), ("cells", "scaled"), ("formal", "bootstrap"), ("formal", "formal")]
@@ -109,15 +112,6 @@ def test_chi2_of_a_difference_of_errors_from_the_scatter_of_sources_is_hotelling
     expected = f(p, dof - p + 1).sf(hotelling * (dof - p + 1) / (p * dof))  # of formal errors that of chi2
     assert made.probability.item() == pytest.approx(expected, rel=1e-7)
     assert np.isnan(linksweep.difference(one.drop_vars("samples"), other).probability.item())
-
-
-def test_a_difference_of_what_has_none_is_refused():
-    one, later = (linksweep.tie(*PULSARS, epoch=epoch) for epoch in (2010.0, 2016.0))
-    beside = linksweep.tie(*PULSARS, epoch=2010.0, known_orientation=[1.0, 0.0, 0.0])
-    plan = linksweep.forecast("psrpi", "psrpi", "orientation")
-    for second, why in ((later, "no omega_x"), (plan, "two links"), (beside, "known_orientation is .* and none")):
-        with pytest.raises(linksweep.SweepError, match=why):
-            linksweep.difference(one, second)
 
 
 @pytest.fixture(scope="module")

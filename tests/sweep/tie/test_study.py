@@ -105,7 +105,7 @@ def quasar_study(tmp_path, n=400, **changes):
     return tie.defaults() | study.fixed, spins
 
 
-def test_powers_of_higher_degree_are_stored_with_their_noise(tmp_path):
+def test_powers_of_higher_degree_with_their_noise_and_a_spin_for_each_bin_are_stored(tmp_path):
     at, _ = quasar_study(tmp_path, degree=3)
     assert check(at) is None
     result = results(at, 300)
@@ -118,9 +118,6 @@ def test_powers_of_higher_degree_are_stored_with_their_noise(tmp_path):
     drawn, predicted = result["power_drawn"][shown], result["power_drawn_predicted"][shown]
     assert np.all(np.abs(drawn - predicted) < 4.5 * result["power_drawn_mc_error"][shown])
     np.testing.assert_allclose(predicted, result["power_noise"][shown])
-
-
-def test_a_spin_for_each_bin_is_stored(tmp_path):
     at, spins = quasar_study(tmp_path, bins="phot_g_mean_mag=10,17")
     assert check(at) is None
     result = results(at, 300)

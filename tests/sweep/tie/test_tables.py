@@ -53,7 +53,7 @@ def test_blank_values_decide_the_kind_and_are_no_zeros(tmp_path):
         np.testing.assert_array_equal(result.correlations, 0.0)  # as without these columns
 
 
-def test_errors_of_ra_in_the_icrf_are_seconds_of_time(tmp_path):
+def test_errors_of_ra_in_the_icrf_are_seconds_of_time_and_those_of_other_rows_in_hours_need_a_unit(tmp_path):
     (tmp_path / "icrf.txt").write_text(ICRF)
     table = read_table(tmp_path / "icrf.txt")
     result = table.astrometry
@@ -64,9 +64,6 @@ def test_errors_of_ra_in_the_icrf_are_seconds_of_time(tmp_path):
     assert (result.errors[1, 0], result.correlations[0, 0]) == (pytest.approx(0.0386714 * ARCSEC), 0.971)
     assert list(table.names["iers_name"]) == ["2359-221", "0007+106", "x"]
     assert list(kinds(result)) == ["position"] * 3
-
-
-def test_rows_of_vlbi_in_hours_with_mjd_and_seconds_of_time_whose_errors_need_a_unit(tmp_path):
     row = {"star": ["HR 1099"], "mjd": [57388.5], "ra": ["12:00:00.0"], "dec": ["-00:30:00"], "e_ra": [1e-5]}
     Table(row | {"e_dec": [2e-4]}, units={"e_ra": "s", "e_dec": "arcsec"}).write(tmp_path / "vlbi.ecsv")
     result = read_table(tmp_path / "vlbi.ecsv").astrometry
