@@ -158,15 +158,12 @@ def test_the_numbers_of_real_tables_are_those_that_are_printed(document, command
     assert set(shown) <= set(out.splitlines())
 
 
-def test_the_readme_shows_the_table_that_the_study_prints(tmp_path, sweep):
+def test_the_readme_shows_the_table_that_the_study_prints_and_its_functions_run(tmp_path, sweep):
     table = re.search(r"```text\n(.*?)```", (ROOT / "README.md").read_text(), flags=re.DOTALL)[1]
     out = sweep("run", "quasars", "--axis", "v_max=14,14.5", "-o", tmp_path / "s.zarr", code=0)[1]
     printed = [line.split() for line in out.splitlines() if line.split()[:1] in (["amex"], ["gaia"])]
     assert len(printed) == 4
     assert all(row in [line.split() for line in table.splitlines()] for row in printed)
-
-
-def test_the_functions_of_the_readme_run(tmp_path, sweep):
     text = (ROOT / "README.md").read_text()
     (example,) = re.findall(r"```python\n(def birthday.*?)```", text, flags=re.DOTALL)
     (tmp_path / "birthday.py").write_text(example)
@@ -206,7 +203,7 @@ def test_the_batch_systems_of_the_document_get_their_jobs(tmp_path):
             assert all(words in cluster.job_script() for words in said[name])
 
 
-def test_pages_link_to_what_is_there_and_list_every_page_name_and_extra():
+def test_pages_link_to_what_is_there_list_every_page_name_and_extra_and_the_reference_is_in_step_with_the_code():
     pages = {path.name: path.read_text() for path in (ROOT / "docs").glob("*.md")}
     for name, text in {"../README.md": (ROOT / "README.md").read_text(), **pages}.items():
         for target in re.findall(r"\]\(([^)#]+)\)", text):
@@ -219,9 +216,6 @@ def test_pages_link_to_what_is_there_and_list_every_page_name_and_extra():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     table = re.findall(r"^\| (`.*?) \|", pages["install.md"], flags=re.MULTILINE)
     assert sorted(re.findall(r"`([\w-]+)`", " ".join(table))) == sorted(project["optional-dependencies"])
-
-
-def test_the_reference_is_in_step_with_the_code():
     made = runpy.run_path(str(ROOT / "docs" / "make_reference.py"))["reference"]()
     assert (ROOT / "docs" / "reference.md").read_text(encoding="utf-8") == made, "run `python docs/make_reference.py`"
 

@@ -42,7 +42,7 @@ def python(folder, *arguments):
     return subprocess.run([sys.executable, *arguments], cwd=folder, capture_output=True, text=True, check=False)
 
 
-def test_every_name_is_listed_and_every_function_says_what_it_takes_gives_and_raises():
+def test_there_is_one_name_to_import_and_every_function_says_what_it_takes_gives_and_raises():
     assert dir(linksweep) == sorted([*linksweep.__all__, "__version__"])
     assert not hasattr(linksweep, "spell")
     for name in linksweep.__all__:
@@ -50,6 +50,13 @@ def test_every_name_is_listed_and_every_function_says_what_it_takes_gives_and_ra
         if name.islower():
             assert all(part in text for part in ("Args:", "Returns:", "Raises:", "Example:", ">>> ")), name
         assert name in linksweep.__doc__
+    for top in ("core", "sweep", "sweeps"):
+        assert not (ROOT / top / "__init__.py").exists()  # a folder of the user's with this name is found first
+        assert (ROOT / "linksweep" / top).resolve() == ROOT / top
+    assert {"core", "sweep", "sweeps"}.isdisjoint(sys.modules)
+    alone = python(ROOT, "-c", "import sys, linksweep; print(*sys.modules)").stdout.split()
+    assert "linksweep" in alone
+    assert {"numpy", "xarray", "dask", "click"}.isdisjoint(alone)  # to import it imports nothing large
 
 
 @pytest.mark.slow  # mypy reads the types of xarray, Dask and all that they import
@@ -69,13 +76,3 @@ def test_files_of_the_user_with_our_names_do_no_harm(tmp_path):
     (tmp_path / "core" / "helper.py").write_text("print('helped')")
     done = python(tmp_path, "sweep.py")
     assert (done.returncode, done.stdout) == (0, "[20, 40]\nhelped\n"), done.stderr
-
-
-def test_there_is_one_name_to_import():
-    for top in ("core", "sweep", "sweeps"):
-        assert not (ROOT / top / "__init__.py").exists()  # a folder of the user's with this name is found first
-        assert (ROOT / "linksweep" / top).resolve() == ROOT / top
-    assert {"core", "sweep", "sweeps"}.isdisjoint(sys.modules)
-    alone = python(ROOT, "-c", "import sys, linksweep; print(*sys.modules)").stdout.split()
-    assert "linksweep" in alone
-    assert {"numpy", "xarray", "dask", "click"}.isdisjoint(alone)  # to import it imports nothing large

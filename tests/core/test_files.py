@@ -82,16 +82,13 @@ def test_round_trip_through_every_format(suffix, write):
     assert is_the_four(read(write(GAIA | ERRORS, suffix)), errors=True)
 
 
-def test_units_are_converted_and_those_that_are_not_there_are_the_usual_ones(write):
+def test_units_are_converted_a_map_of_names_comes_first_and_only_positions_are_needed(write):
     other = {"ra": np.radians(RA), "pmra": PMRA * 1e-3, "pmdec": PMDEC / 3600.0, "ra_error": ERRORS["ra_error"] / 3.6e6}
     units = UNITS | {"ra": "rad", "pmra": "arcsec / yr", "pmdec": "deg / kyr", "ra_error": "deg"}
     assert is_the_four(read(write(GAIA | ERRORS | other, units=units)), errors=True)
     assert is_the_four(read(write(GAIA | ERRORS, units={})), errors=True)
     assert is_the_four(read(write(GAIA | {"parallax": np.full(4, np.nan)})))  # unused columns may be anything
     assert "units: parallax is no quantity" in problem(write(GAIA), units=(("parallax", "mas"),))
-
-
-def test_a_map_of_names_comes_first_and_only_positions_are_needed(write):
     np.testing.assert_array_equal(read(write(GAIA | {"other": 2 * MAG}), {"v_mag": "other"}).v_mag, 2 * MAG)
     for name in ("vt_mag", "Vmag", "Gmag", "VTmag"):
         np.testing.assert_array_equal(read(write({"ra": RA, "dec": DEC, name: MAG})).v_mag, MAG)

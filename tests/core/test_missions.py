@@ -129,12 +129,27 @@ def test_a_built_in_mission_written_out_is_the_same_to_the_last_bit(name, table)
     assert (mine.nominal_length_yr, mine.faint_limit_mag) == (built_in.nominal_length_yr, built_in.faint_limit_mag)
 
 
-def test_a_table_is_log_linear_and_constant_on_the_bright_side():
+def test_a_table_is_log_linear_and_constant_on_the_bright_side_and_has_a_range_and_a_floor():
     mine = mission(TABLE)
     expected = [0.1, 0.1, 0.2, 0.4, 0.4 * 8**0.4]  # 0.4 of the way from 13 to 18 mag, and of ln(3.2/0.4)
     np.testing.assert_allclose(mine.sigma_pm_mas_yr(np.array([4.0, 9.0, 11.0, 13.0, 15.0])), expected, rtol=1e-14)
     np.testing.assert_allclose(mine.sigma_pos_mas(V), 0.5 * mine.sigma_pm_mas_yr(V), rtol=1e-14)
     assert mine.faint_limit_mag == 18.0
+    # Both ends of a table are its range; a floor counts in the identity, a range is only warned of.
+    assert mission(TABLE).valid_mag == (TABLE["sigma_pm"][0][0], TABLE["sigma_pm"][-1][0])
+    ranged = TABLE | {"range": [10.0, 16.0]}
+    assert (mission(ranged).valid_mag, identity(ranged)) == ((10.0, 16.0), identity(TABLE))
+    two = {name: TABLE[name] for name in ("nominal_length", "sigma_pm")} | {"sigma_pos": [[10.0, 0.1], [16.0, 0.2]]}
+    assert mission(two).valid_mag == (10.0, 16.0)  # where both are known
+    low = TABLE | {"floor_pm": TABLE["sigma_pm"][-1][1]}
+    assert np.ptp(mission(low).sigma_pm_mas_yr(V)) == 0.0
+    assert len({identity(one) for one in [TABLE, low, low | {"floor_pos": 0.1}, TABLE | {"floor_pos": 0.1}]}) == 4
+    function = {"nominal_length": 1.0, "unit": "uas", "sigma_pm": "curves.py:power"}
+    mixed, ratio = mission(function | {"sigma_pos": [[9, 50], [20, 80]]}), mission(function | {"position_ratio": 2.0})
+    np.testing.assert_allclose(mixed.sigma_pm_mas_yr(V), 1e-3 * 10.0 ** (0.2 * (V - 15.0)), rtol=1e-14)
+    np.testing.assert_allclose(mixed.sigma_pos_mas(np.array([5.0])), 0.05, rtol=1e-14)
+    np.testing.assert_allclose(ratio.sigma_pos_mas(V), 2e-3 * 10.0 ** (0.2 * (V - 15.0)), rtol=1e-14)
+    assert (mixed.faint_limit_mag, ratio.faint_limit_mag) == (20.0, math.inf)
 
 
 def test_identity_is_what_decides_the_numbers():
@@ -158,24 +173,6 @@ def test_what_is_wrong_is_said_of_its_key(change, key, words):
         mission_from_table(table, load)
     ((result, sentence),) = caught.value.problems
     assert (result, words in sentence) == (key, True), sentence
-
-
-def test_a_range_a_floor_and_a_function_of_ones_own():
-    """Both ends of a table are its range; a floor counts in the identity, a range is only warned of."""
-    assert mission(TABLE).valid_mag == (TABLE["sigma_pm"][0][0], TABLE["sigma_pm"][-1][0])
-    ranged = TABLE | {"range": [10.0, 16.0]}
-    assert (mission(ranged).valid_mag, identity(ranged)) == ((10.0, 16.0), identity(TABLE))
-    two = {name: TABLE[name] for name in ("nominal_length", "sigma_pm")} | {"sigma_pos": [[10.0, 0.1], [16.0, 0.2]]}
-    assert mission(two).valid_mag == (10.0, 16.0)  # where both are known
-    low = TABLE | {"floor_pm": TABLE["sigma_pm"][-1][1]}
-    assert np.ptp(mission(low).sigma_pm_mas_yr(V)) == 0.0
-    assert len({identity(one) for one in [TABLE, low, low | {"floor_pos": 0.1}, TABLE | {"floor_pos": 0.1}]}) == 4
-    function = {"nominal_length": 1.0, "unit": "uas", "sigma_pm": "curves.py:power"}
-    mixed, ratio = mission(function | {"sigma_pos": [[9, 50], [20, 80]]}), mission(function | {"position_ratio": 2.0})
-    np.testing.assert_allclose(mixed.sigma_pm_mas_yr(V), 1e-3 * 10.0 ** (0.2 * (V - 15.0)), rtol=1e-14)
-    np.testing.assert_allclose(mixed.sigma_pos_mas(np.array([5.0])), 0.05, rtol=1e-14)
-    np.testing.assert_allclose(ratio.sigma_pos_mas(V), 2e-3 * 10.0 ** (0.2 * (V - 15.0)), rtol=1e-14)
-    assert (mixed.faint_limit_mag, ratio.faint_limit_mag) == (20.0, math.inf)
 
 
 @pytest.mark.parametrize("sentence", NO_CURVES)

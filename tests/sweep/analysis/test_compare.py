@@ -143,7 +143,7 @@ def test_a_point_that_is_not_done_is_incomplete_and_not_left_out():
         assert verdicts.summary_line(actual).startswith("1 reproduced, 0 within tolerance, 1 not reproduced, 1 inc")
 
 
-def test_a_claim_of_a_law_for_each_model(tmp_path):
+def test_a_claim_of_a_law_for_each_model_and_claims_about_points_that_are_not_done_not_finite_or_not_there(tmp_path):
     claims = [claim(published="-0.5", exact=True, slope=LAW)]
     value = np.array([2.0 * N**-0.5, 3.0 * N**-0.7])
     actual = compare(grid(value, 0.01 * value, claims=claims))
@@ -162,9 +162,6 @@ def test_a_claim_of_a_law_for_each_model(tmp_path):
     study["claim"] = [claims[0] | {"slope": {"variable": "result", "over": "n"}}]
     [comparison] = compare(linksweep.run(study, tmp_path / "s.zarr", pool="serial"))  # of no line without points
     assert (comparison.where, comparison.verdict) == ({"model": "steep"}, "reproduced")
-
-
-def test_a_claim_about_points_that_are_not_done_not_finite_or_not_there(tmp_path):
     status = np.full((2, len(N)), DONE, np.int8)
     status[1, 0] = MISSING
     value = np.array([[1.0] * 5, [np.nan, 0.0, 1.0, 1.0, 1.0]])

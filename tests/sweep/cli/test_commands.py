@@ -78,7 +78,7 @@ def test_a_script_for_slurm_has_names_as_they_are_and_the_parts_as_a_pattern(nam
     assert linksweep.open(folder / name).half.values.tolist() == [0.5, 1.0]
 
 
-def test_the_help_has_every_command_in_one_section_with_a_whole_sentence_and_each_has_its_own_with_an_example(sweep):
+def test_the_help_has_every_command_each_has_its_own_with_an_example_and_one_thing_has_one_name(sweep):
     code, out, _ = sweep("--help")
     commands = out.partition("\nRun:\n")[2]
     listed = [line.split()[0] for line in commands.splitlines() if line.startswith("  ")]
@@ -87,6 +87,14 @@ def test_the_help_has_every_command_in_one_section_with_a_whole_sentence_and_eac
         code, more, _ = sweep(command, "--help")
         assert (code, f"sweep {command}" in more.replace("Usage: sweep", "")) == (0, True)
         assert max(map(len, (out + more).splitlines())) <= 80, command
+    for name, command in main.commands.items():
+        for option in (p for p in command.params if isinstance(p, click.Option)):
+            long = [spelling for spelling in option.opts if spelling.startswith("--")]
+            assert len(long) == 1, (name, option.opts)
+            assert ("-o" in option.opts) == (long == ["--output"]), (name, option.opts)
+            assert long[0] not in ("--out", "--map", "--dry-run"), name
+            assert long[0] != "--along" or name == "refine", name  # which adds points along it, others look over it
+            assert "json" not in getattr(option.type, "choices", ()), name
 
 
 @pytest.mark.parametrize("commands", [PRINTING, slow(PRINTING_TOO)], ids=["some", "others"])
@@ -101,17 +109,6 @@ def test_what_is_printed_fits_80_columns(sweep, here, commands):
         assert max(map(len, lines)) <= 80, (line, max(lines, key=len))
         assert not [line for line in lines if line.endswith("...")], line
     assert json.loads(sweep("list", "--json")[1])["quasars"]["question"].endswith("?")
-
-
-def test_one_thing_has_one_name_in_all_commands():
-    for name, command in main.commands.items():
-        for option in (p for p in command.params if isinstance(p, click.Option)):
-            long = [spelling for spelling in option.opts if spelling.startswith("--")]
-            assert len(long) == 1, (name, option.opts)
-            assert ("-o" in option.opts) == (long == ["--output"]), (name, option.opts)
-            assert long[0] not in ("--out", "--map", "--dry-run"), name
-            assert long[0] != "--along" or name == "refine", name  # which adds points along it, others look over it
-            assert "json" not in getattr(option.type, "choices", ()), name
 
 
 def test_a_part_that_the_study_excludes_and_a_figure_of_failed_points_alone_are_refused(tmp_path):

@@ -149,7 +149,7 @@ def test_each_panel_shows_the_numbers_of_the_dataset_in_its_unit(name):
         assert_shown(axes, values)
 
 
-def test_right_ascension_grows_to_the_left_and_the_galactic_plane_is_that_of_astropy():
+def test_right_ascension_grows_to_the_left_the_galactic_plane_is_astropys_and_a_points_sky_its_catalogue(store_of):
     places = {"ra": [170.0, 180.0, 190.0], "dec": [0.0, 10.0, -20.0], "v_mag": [3.0, 2.0, 1.0]}  # the brightest last
     axes = sky.sky_figure(xr.Dataset({name: ("object", values) for name, values in places.items()})).axes[0]
     x, y = np.asarray(axes.collections[0].get_offsets()).T
@@ -168,9 +168,6 @@ def test_right_ascension_grows_to_the_left_and_the_galactic_plane_is_that_of_ast
     middle = SkyCoord(l=0.0 * units.deg, b=0.0 * units.deg, frame="galactic").icrs
     assert np.rad2deg(centre.get_ydata()[0]) == pytest.approx(middle.dec.deg, abs=1e-4)
     assert 180.0 - np.rad2deg(centre.get_xdata()[0]) == pytest.approx(middle.ra.deg, abs=1e-4)
-
-
-def test_the_sky_of_a_point_is_its_catalogue(store_of):
     dataset = sky.catalogue_of_point(store_of("quasars"), ["model=gaia", "v_max=15"])
     assert dataset.sizes["object"] == 88
     assert dataset["v_mag"].max() <= 15.0

@@ -88,7 +88,7 @@ def test_a_study_chooses_and_a_call_overrides_it(tmp_path):
     assert "scale" not in again["area"].attrs
 
 
-def test_series_of_close_values_and_of_times_have_colours_and_names_of_their_own(tmp_path):
+def test_series_of_close_values_and_of_times_have_colours_and_names_and_days_are_words(tmp_path):
     days = [59000.04, 59000.08, 59000.12]
     axes = {"mjd": days, "period": [1.0, 2.0]}
     dataset = linksweep.run(lambda mjd, period: mjd * period, tmp_path / "s.zarr", axes=axes, pool="serial")
@@ -96,13 +96,10 @@ def test_series_of_close_values_and_of_times_have_colours_and_names_of_their_own
     assert len({line.get_color() for line in axes.lines if len(line.get_xdata())}) == 3
     names = axes.get_legend_handles_labels()[1]
     assert {name for name in names if "59000" in name} == {f"mjd = {day}" for day in days}
-
-
-def test_times_along_a_dimension_are_days_in_words_figures_and_options(tmp_path):
     days = np.array(["2020-01-01", "2020-01-02", "2020-01-03"], dtype="datetime64[D]")
     u = linksweep.Output("u", "K", dims="time", coords={"time": (days, "")})
     watch = linksweep.experiment(outputs=[u])(lambda k: {"u": k * np.arange(1.0, 4.0)})
-    dataset = linksweep.run(watch, tmp_path / "s.zarr", axes={"k": [1.0, 2.0]}, pool="serial")
+    dataset = linksweep.run(watch, tmp_path / "t.zarr", axes={"k": [1.0, 2.0]}, pool="serial")
     [axes] = linksweep.plot(dataset, "lines", over="k").axes
     assert {*axes.get_legend_handles_labels()[1]} >= {*map(str, days)}
     for day in (str(days[2]), days[2], days[2].item(), f"{days[2]}T00:00"):

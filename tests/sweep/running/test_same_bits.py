@@ -77,7 +77,7 @@ def draws(rng, x: float):
 
 
 @pytest.mark.parametrize("pool", ["serial", "threads", slow("processes")])
-def test_each_point_has_the_time_that_it_took(tmp_path, monkeypatch, pool):
+def test_each_point_has_the_time_that_it_took_and_what_is_set_in_the_thread_of_the_run(tmp_path, monkeypatch, pool):
     store = tmp_path / "s.zarr"
     monkeypatch.setattr("linksweep.sweep.contract.rows.MOST_VALUES", 64)  # arrays are in files of their own
     first = linksweep.run(sleeps, store, axes={"x": [0.05, 0.02, 0.1]}, pool=pool)
@@ -93,15 +93,12 @@ def test_each_point_has_the_time_that_it_took(tmp_path, monkeypatch, pool):
     assert xr.open_zarr(store).load().wall_time.equals(both.wall_time)
     assert not check(store)
 
-
-@pytest.mark.parametrize("pool", ["serial", "threads", slow("processes")])
-def test_what_is_set_in_the_thread_of_a_run_holds_wherever_it_computes(tmp_path, pool):
     def f(x: int):
         return {"a": STEP.get(), "b": str(Decimal(x) / 7), "c": np.geterr()["under"]}
 
     token = STEP.set(2.0)
     with localcontext(Context(prec=4)), np.errstate(under="raise"):
-        ds = linksweep.run(f, tmp_path / "s.zarr", axes={"x": [1, 2]}, pool=pool)
+        ds = linksweep.run(f, tmp_path / "t.zarr", axes={"x": [1, 2]}, pool=pool)
     STEP.reset(token)
     assert [ds[name].values.tolist() for name in "abc"] == [[2.0, 2.0], ["0.1429", "0.2857"], ["raise", "raise"]]
 

@@ -10,12 +10,12 @@ import pandas as pd
 import pyarrow.parquet
 import pytest
 from astropy.table import Column, QTable, Table
-from click.testing import CliRunner
 from hypothesis import HealthCheck, given, settings, strategies as st
 
 import linksweep
 from linksweep.sweep.tie.tables import read_table
-from tests.core.tie.made import DEGREE, MAS, NAMES, PAIRS, gaia, gaia_table, main, noise, seen_by_satellite, stars
+from tests.conftest import run_sweep
+from tests.core.tie.made import DEGREE, MAS, NAMES, PAIRS, gaia, gaia_table, noise, seen_by_satellite, stars
 from tests.sweep.tie.test_accelerations import drawn, satellite_table
 from tests.tiers import few, slow
 
@@ -263,13 +263,12 @@ def test_what_cannot_be_carried_is_refused_by_name(here):
     for options, said in ((glide, "has glide too"), (bins, "spin"), ({"known_spin": [0.1, 0.0, 0.0]}, "spin")):
         with pytest.raises(linksweep.SweepError, match=said):
             linksweep.apply(linksweep.tie(*both, **options), "satellite.ecsv")
-    assert CliRunner().invoke(main, ["tie", *both, "-o", "tie.zarr"]).exit_code == 0
+    run_sweep("tie", *both, "-o", "tie.zarr", code=0)
     gaia(here / "dr4.ecsv", stars(10, 1, epoch=2017.5))
     bare = Table.read("satellite.ecsv")
     bare.remove_column("ref_epoch")
     bare.write("bare.ecsv")
-    said_epoch = ["tie", "bare.ecsv", str(both[1]), "--satellite-epoch", "2016", "-o", "said.zarr"]
-    assert CliRunner().invoke(main, said_epoch).exit_code == 0
+    run_sweep("tie", "bare.ecsv", both[1], "--satellite-epoch", "2016", "-o", "said.zarr", code=0)
     Table({"a": [1]}).write("other.ecsv")
     gaia("hip.ecsv", stars(10, 1), RArad=np.ones(10), UW=["1.00" * 15] * 10)
     before = sorted(path.name for path in here.iterdir())
@@ -281,8 +280,6 @@ def test_what_cannot_be_carried_is_refused_by_name(here):
         (("tie.zarr", "other.ecsv", "-o", "o.fits"), "'ra'"),
         (("tie.zarr", "hip.ecsv", "-o", "o.fits"), "elements U1 to U15"),
     ):
-        run = CliRunner().invoke(main, ["apply", *arguments])
-        assert (run.exit_code, said in " ".join(run.output.split())) == (2, True), run.output
+        assert said in " ".join(run_sweep("apply", *arguments, code=2)[2].split())
     assert sorted(path.name for path in here.iterdir()) == before
-    run = CliRunner().invoke(main, ["apply", "tie.zarr", "satellite.ecsv", "-o", "o.fits"])
-    assert (run.exit_code, "by orientation and spin" in run.output) == (0, True)
+    assert "by orientation and spin" in run_sweep("apply", "tie.zarr", "satellite.ecsv", "-o", "o.fits", code=0)[2]

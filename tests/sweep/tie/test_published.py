@@ -114,39 +114,27 @@ def test_chi2_of_a_difference_of_errors_from_the_scatter_of_sources_is_hotelling
     assert np.isnan(linksweep.difference(one.drop_vars("samples"), other).probability.item())
 
 
-@pytest.fixture(scope="module")
-def stored(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("stored")
-    link = run_sweep("tie", *LINK, "-o", folder / "tie.zarr")
-    plan = run_sweep("forecast", *PLAN, "-o", folder / "plan.zarr")
-    assert (link[0], plan[0]) == (0, 0), link[2] + plan[2]
-    return folder, link[1], plan[1]
-
-
-def test_a_link_is_printed_with_its_sign_stored_and_shown_again_also_in_formats_for_programs(stored):
-    folder, link, plan = stored
+def test_a_link_is_printed_with_its_sign_stored_and_shown_again_and_one_message_where_it_is_damaged(tmp_path):
+    link = run_sweep("tie", *LINK, "-o", tmp_path / "tie.zarr", code=0)[1]
+    plan = run_sweep("forecast", *PLAN, "-o", tmp_path / "plan.zarr", code=0)[1]
     assert all(words in link for words in ("reference - satellite", "epsilon_y", "jackknife"))
-    assert (run_sweep("show", folder / "tie.zarr")[1], run_sweep("show", folder / "plan.zarr")[1]) == (link, plan)
-    content = json.loads(run_sweep("show", folder / "tie.zarr", "--json")[1])
+    assert (run_sweep("show", tmp_path / "tie.zarr")[1], run_sweep("show", tmp_path / "plan.zarr")[1]) == (link, plan)
+    content = json.loads(run_sweep("show", tmp_path / "tie.zarr", "--json")[1])
     assert content["variables"]["estimate"]["values"][1] == pytest.approx(-13.06, abs=0.01)
-    lines = run_sweep("show", folder / "tie.zarr", "--format", "csv")[1].splitlines()
+    lines = run_sweep("show", tmp_path / "tie.zarr", "--format", "csv")[1].splitlines()
     assert lines[0] == "unknown,unit,estimate,error_jackknife,error_formal,error_scaled"
     assert lines[2].startswith("epsilon_y,mas,-13.05")
-    assert "reference-satellite" in run_sweep("show", folder / "tie.zarr", "--format", "ecsv")[1]
-    assert run_sweep("show", folder / "plan.zarr", "--format", "csv")[1].startswith("unknown,unit,error_now")
-
-
-def test_what_cannot_be_drawn_and_a_damaged_result_are_one_message(stored, tmp_path):
-    folder, _, _ = stored
-    content = json.loads((folder / "tie.zarr" / "zarr.json").read_text())
+    assert "reference-satellite" in run_sweep("show", tmp_path / "tie.zarr", "--format", "ecsv")[1]
+    assert run_sweep("show", tmp_path / "plan.zarr", "--format", "csv")[1].startswith("unknown,unit,error_now")
+    content = json.loads((tmp_path / "tie.zarr" / "zarr.json").read_text())
     content["consolidated_metadata"]["metadata"]["estimate"]["zarr_format"] = 2  # whose filters may unpickle
-    (tmp_path / "bad.zarr").mkdir()
-    (tmp_path / "bad.zarr" / "zarr.json").write_text(json.dumps(content))
+    (bad := tmp_path / "bad" / "bad.zarr").mkdir(parents=True)
+    (bad / "zarr.json").write_text(json.dumps(content))
     said = {"--at unknown=epsilon_x": "--at chooses a part of a grid", "--variable estimate": "only its kind"}
-    said = {f"plot {folder}/tie.zarr {option}": message for option, message in said.items()}
+    said = {f"plot {tmp_path}/tie.zarr {option}": message for option, message in said.items()}
     for command, message in {**said, "show bad.zarr": "estimate.zarr_format: Input should be 3"}.items():
-        assert message in run_sweep(*command.split(), cwd=tmp_path, code=2)[2]
-    assert [path.name for path in tmp_path.iterdir()] == ["bad.zarr"]
+        assert message in run_sweep(*command.split(), cwd=bad.parent, code=2)[2]
+    assert [path.name for path in bad.parent.iterdir()] == ["bad.zarr"]
 
 
 # ----- what pages say of links: the solution of the tables comes before the draws
