@@ -32,7 +32,7 @@ def test_the_verdicts_are_those_of_the_document(paper):
     assert {name: n for name, n in paper[1]["summary"].items() if n} == counts
 
 
-def test_with_corrections_the_spin_does_not_depend_on_proper_motions(paper):
+def test_with_corrections_the_spin_does_not_depend_on_proper_motions_and_every_study_agrees_with_its_prediction(paper):
     """At 1 mas and 1 mas/yr; RMS of 3 x 64 values: 5 % Monte-Carlo error each."""
     one = linksweep.open(paper[0] / "algorithm.zarr").isel(epsilon_size=3)
     one = one.sel(arithmetic="exact", n_obj=500)["sigma_spin"]
@@ -44,9 +44,6 @@ def test_with_corrections_the_spin_does_not_depend_on_proper_motions(paper):
     # goes as the proper motion over the size of the sky; it scatters by a factor of two from draw to draw
     assert (without / with_a21).sel(mean_pm=500) > 50
     assert 0.7 < (without / with_a21).sel(mean_pm=0) < 1.4  # no proper motions: A21 is zero
-
-
-def test_every_study_agrees_with_its_prediction(paper):
     for name in ("radio-stars", "galaxies", "sqrt-n", "mission-length", "error-surface", "completeness"):
         dataset = linksweep.open(paper[0] / f"{name}.zarr")
         error = dataset["sigma_spin_mc_error"].where(dataset["sigma_spin_predicted"] > 0)

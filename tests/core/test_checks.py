@@ -146,16 +146,7 @@ def test_a_study_is_told_what_is_wrong_and_nothing_is_written(fixed, sentence, t
     assert not list(tmp_path.iterdir())
 
 
-def test_magnitudes_outside_of_a_curves_range_are_warned_of():
-    (result,) = link.warn(point(model="gaia-dr3"))
-    assert "known from V = 8 to 21, and the catalogue has or may have objects beyond" in result
-    (result,) = link.warn(point(model="gaia", v_min=13.0, v_max=20.5))
-    assert "objects beyond, where it is extrapolated" in result
-    for changes in ({"v_min": 13.0}, QUASARS | {"n_obj": None}):
-        assert link.warn(point(model="gaia", **changes)) == []
-
-
-def test_an_object_with_most_of_the_weight_is_named_with_its_share(tmp_path):
+def test_an_object_with_most_of_the_weight_and_magnitudes_outside_of_a_curves_range_are_warned_of(tmp_path):
     v_mag, (ra, dec, *_) = np.array([9.37, *np.full(40, 15.0)]), points.sky(41)
     columns = {"Name": ["Mrk 421", *(f"q{k}" for k in range(40))], "ra": np.degrees(ra), "dec": np.degrees(dec)}
     Table(columns | {"v_mag": v_mag}).write(tmp_path / "sky.ecsv")
@@ -168,6 +159,12 @@ def test_an_object_with_most_of_the_weight_is_named_with_its_share(tmp_path):
     alike = {"reference_errors": "normal", "reference_sigma_pos": 1e3, "reference_sigma_pm": 1e3}
     assert (link.warn(one | alike), link.warn(one | {"weighting": "equal"})) == ([], [])
     assert [len(link.warn(one | alike | {f"reference_sigma_{kind}": 0.0})) for kind in ("pos", "pm")] == [1, 1]
+    (result,) = link.warn(point(model="gaia-dr3"))
+    assert "known from V = 8 to 21, and the catalogue has or may have objects beyond" in result
+    (result,) = link.warn(point(model="gaia", v_min=13.0, v_max=20.5))
+    assert "objects beyond, where it is extrapolated" in result
+    for changes in ({"v_min": 13.0}, QUASARS | {"n_obj": None}):
+        assert link.warn(point(model="gaia", **changes)) == []
 
 
 def test_a_run_says_and_stores_its_warnings_and_show_repeats_them(tmp_path, sweep):

@@ -115,7 +115,7 @@ def test_negative_and_partly_zero_errors_are_named(side):
 # ----- blocks of unknowns and vector harmonics
 
 
-def test_the_fields_are_the_gradients_of_scipys_harmonics():
+def test_the_fields_are_the_gradients_of_scipys_harmonics_of_which_degree_1_is_rotation_and_glide():
     objects, step = Objects(*sky(50)), 1e-5
     fields = toroidal(7, objects.ra, objects.dec)
     ra, dec = objects.ra, objects.dec
@@ -131,9 +131,6 @@ def test_the_fields_are_the_gradients_of_scipys_harmonics():
         np.testing.assert_allclose(result, expected, atol=2e-7, rtol=1e-6)
     ra, dec = np.array([0.3, 0.3]), np.array([0.5 * np.pi, -0.5 * np.pi])  # the poles
     np.testing.assert_allclose(toroidal(4, ra, dec), toroidal(4, ra, dec * (1.0 - 1e-9)), atol=1e-7)
-
-
-def test_degree_1_is_rotation_and_glide():
     objects = Objects(*sky(40)[:2], *np.zeros((2, 40)))  # at rest: no motion is turned
     r1, r2, r3 = rotation = np.array([0.3, -0.7, 1.1])
     # Mignard & Klioner 2012, Sect. 4.1

@@ -124,20 +124,17 @@ def test_only_points_with_wrong_results_fail_among_many_and_again(tmp_path, swee
     assert linksweep.open(tmp_path / "s.zarr")["mean"].values[[0, 1, 3]].tolist() == [-0.125, -0.25, 0.25]
 
 
-def test_nan_is_a_value_where_it_is_declared_and_a_warning_says_of_how_many_points_it_is(tmp_path):
+def test_nan_is_a_value_where_it_is_declared_warnings_count_points_and_samples_are_held_to_what_is_declared(tmp_path):
     declared = {"outputs": (Output("mean", "", "mean", nan=True),), "nan_sums": ("total",)}
     dataset = run(tmp_path / "s.zarr", evaluate=gives(math.nan), warn=lambda point: ["careful"], **declared)
     assert (dataset["status"].values.tolist(), dataset.attrs["warnings"]) == ([1, 1], '["careful (2 points)"]')
-
-
-def test_samples_are_held_to_what_is_declared(tmp_path):
     with pytest.raises(SweepError, match="has no samples to keep"):
-        run(tmp_path / "s.zarr", sampling={"keep_samples": True})
+        run(tmp_path / "t.zarr", sampling={"keep_samples": True})
 
     def draw(points, n_sim, rng, catalogue_rng):
         kept = [rng.normal(size=n_sim + 1) for p in points]
         return {"total": [k.sum() for k in kept], "each": kept}
 
     declared = {"samples": draw, "sample_outputs": (Output("each", "", "each"),)}
-    failures = run(tmp_path / "s.zarr", sampling={"keep_samples": True}, **declared).attrs["failures"]
+    failures = run(tmp_path / "t.zarr", sampling={"keep_samples": True}, **declared).attrs["failures"]
     assert "'each' has the shape (1, 5), expected (1, 4)" in failures

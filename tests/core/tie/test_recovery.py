@@ -99,7 +99,7 @@ def test_an_orbit_is_seen_at_single_epochs_and_not_in_mean_positions():
         np.testing.assert_allclose(free - bound, expected, atol=1e-15)
 
 
-def test_it_is_the_least_squares_of_all_tables_with_the_parameters_of_every_star():
+def test_it_is_the_least_squares_of_all_tables_and_leaving_out_what_determines_an_unknown_is_found():
     problem = missions()
     mine, rows, n = problem.satellite, problem.rows, len(problem.satellite)
     result = differences(mine, rows, problem.source)
@@ -122,9 +122,6 @@ def test_it_is_the_least_squares_of_all_tables_with_the_parameters_of_every_star
     np.testing.assert_allclose((solution.covariance - covariance) / np.outer(error, error), 0.0, atol=1e-9)
     assert solution.squares == pytest.approx(np.sum((y - a @ x) ** 2), rel=1e-9)
     assert solution.dof == 5 * len(rows) - 12
-
-
-def test_leaving_out_what_determines_an_unknown_is_found_among_many():
     sums = source_sums(missions(n=30))
     normal, right = sums.normal.sum(axis=0), sums.right.sum(axis=0)
     alone = sums.taken(np.arange(3))

@@ -237,7 +237,7 @@ def test_a_claim_that_cannot_be_is_refused(sweep, tmp_path, claim, phrases):
     assert all(phrase in " ".join(err.split()) for phrase in phrases), err
 
 
-def test_the_command_tells_by_its_exit_code(sweep, tmp_path):
+def test_the_command_tells_by_its_exit_code_and_the_whole_paper_runs_what_is_missing(sweep, tmp_path, monkeypatch):
     wanted = {"good": "", "poor": "--set chance=0.2", "less": "--axis coins=1,20", "none": "--set coins=7"}
     for name, changes in wanted.items():
         assert sweep("run", coin_study(tmp_path), "-o", f"{name}.zarr", *changes.split(), cwd=tmp_path)[0] == 0
@@ -252,9 +252,6 @@ def test_the_command_tells_by_its_exit_code(sweep, tmp_path):
     where = "[published]\nfile = 'p.csv'\nsource = 'p. 1'\nwhere = { metal = 'tin' }\n[fixed]\nchance = 0.5\n"
     study = linksweep.load_study(coin_study(tmp_path, f"{PLACE}\n{where}"), ["chance=0.2"])
     assert study.published.where["chance"] == 0.5  # that of the study, whatever another axis is at
-
-
-def test_the_whole_paper_from_one_command_runs_what_is_missing(sweep, tmp_path, monkeypatch):
     study = coin_study(tmp_path)
     monkeypatch.setattr("linksweep.sweep.studies.built_in_studies", lambda: {str(study): study})
     arguments = ("compare", "--all", "--results", tmp_path / "all", "--pool", "serial")

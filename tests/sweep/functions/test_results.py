@@ -73,7 +73,7 @@ def test_texts_and_times_to_the_nanosecond(tmp_path):
     assert [ds[name].item() for name in times] == [np.datetime64(value, "ns").astype(int) for value in said]
 
 
-def test_what_holds_results(tmp_path):
+def test_what_holds_results_and_xarray_keeps_dimensions_coordinates_units_and_what_stands_beside(tmp_path):
     kinds = {"dict": dict, "class": dataclasses.make_dataclass("Result", "yz"), "tuple": namedtuple("pair", "y z")}
     ds = results_of({name: kind(y=1.0, z="a") for name, kind in kinds.items()}, tmp_path)
     assert (ds.y.values.tolist(), ds.z.values.tolist()) == ([1.0] * 3, ["a"] * 3)
@@ -90,9 +90,6 @@ def test_what_holds_results(tmp_path):
         ds = results_of({"a": {"y": kind([1.0, 2.0], unit="km")}}, tmp_path, fresh=True)
         assert (ds.y.values.tolist(), ds.y.units) == ([[1.0, 2.0]], "km")
     assert ds.y.dims == ("case", "x")  # of the last
-
-
-def test_xarray_keeps_dimensions_coordinates_units_and_what_stands_beside(tmp_path):
     about = {"units": "days", "long_name": "epoch"}
     coords = {"time": ("time", [0.0, 1.5], about), "who": ["a", "b"], "case": "nearest", "year": 1999}
     attrs = {"units": "kg", "long_name": "mass"}

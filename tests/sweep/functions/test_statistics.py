@@ -142,7 +142,7 @@ def test_the_fewest_realisations_that_have_an_error(name, fewest):
     assert (np.isnan(error).all(), np.isfinite(value).all()) == (True, True)
 
 
-def test_a_quantiles_error_is_made_of_the_order_statistics_at_two_sigma():
+def test_a_quantiles_error_is_made_of_order_statistics_and_numbers_of_several_blocks_are_those_of_numpy():
     """Against SciPy's binomial: the limits are between the two that leave less and more than the tail outside."""
     n, level, tail = 400, 0.9, stats.norm.sf(2.0)
     values = np.sort(drawn(LAWS["exponential"], n, 1), axis=0)
@@ -156,9 +156,6 @@ def test_a_quantiles_error_is_made_of_the_order_statistics_at_two_sigma():
     assert one("q90", 5.0 * values + 2.0)[1][0] == pytest.approx(5.0 * error[0], rel=1e-12)
     repeated = np.array([[0, 0], [1, 1], [1, 1], [1, 1], [1, 2], [2, 3.0]])  # 3 and 4 values, with both limits
     assert np.isfinite(one("median", repeated)[1]).tolist() == [False, True]
-
-
-def test_numbers_of_several_blocks_are_those_of_numpy_also_far_from_zero():
     values = np.random.default_rng(1).exponential(1.0, (1300, 2)) + 1e8
     (mean, _), (std, of_std), (low, _), (high, none), _ = measured(values, "mean", "std", "min", "max")
     assert mean == pytest.approx(values.mean(axis=0), rel=1e-14)

@@ -78,7 +78,7 @@ def test_numbers_of_six_hundred_decades_are_all_in_view_and_integers_have_ticks_
     assert not (linksweep.plot(results(np.arange(1, 4))).axes[0].get_xticks() % 1.0).any()
 
 
-def test_a_study_chooses_and_a_call_overrides_it(tmp_path):
+def test_a_study_chooses_scales_a_call_overrides_it_and_a_logarithm_needs_numbers_above_zero(tmp_path):
     study = {"experiment": lambda width: {"area": width**2}, "axes": {"width": [1.0, 2.0, 3.0, 4.0]}}
     study["figure"] = {"log": ["width", "area"]}
     dataset = linksweep.run(study, tmp_path / "a.zarr", pool="serial")
@@ -86,6 +86,17 @@ def test_a_study_chooses_and_a_call_overrides_it(tmp_path):
     again = linksweep.run(study | {"figure": {"linear": ["area"]}}, tmp_path / "a.zarr", pool="serial")
     assert scales(again) == ("linear", "linear")
     assert "scale" not in again["area"].attrs
+    for lowest, scale in (-1.0, "linear"), (1.0, "log"):  # a prediction is seen, too
+        ds = results(x := [1.0, 10.0, 100.0]).assign(y=("x", x), y_predicted=("x", [lowest, *x[1:]]))
+        assert linksweep.plot(ds).axes[0].get_yscale() == scale
+    with pytest.raises(linksweep.SweepError, match="x = 0: a logarithmic axis has only numbers above zero"):
+        linksweep.plot(results([0.0, 1.0, 10.0]), log=["x"])
+    wrong = {"title": "a", "axes": {"sky_contrast": [0.0, 0.5]}, "figure": {"log": ["sky_contrast", "n_obi"]}}
+    with pytest.raises(linksweep.SweepError) as raised:
+        linksweep.run(wrong, tmp_path / "a.zarr")
+    zero = "figure.log.0: sky_contrast = 0.0: a logarithmic axis has only numbers above zero"
+    misspelt = "figure.log.1: 'n_obi' is neither a parameter nor an output; did you mean 'n_obj'?"
+    assert raised.value.problems == [zero, misspelt]
 
 
 def test_series_of_close_values_and_of_times_have_colours_and_names_and_days_are_words(tmp_path):
@@ -105,20 +116,6 @@ def test_series_of_close_values_and_of_times_have_colours_and_names_and_days_are
     for day in (str(days[2]), days[2], days[2].item(), f"{days[2]}T00:00"):
         assert quantity.select(dataset, {"time": day})["u"].values.tolist() == [3.0, 6.0]
     assert "time=2020-01-03" in linksweep.answer(dataset).sentences[0]
-
-
-def test_a_logarithm_needs_numbers_above_zero(tmp_path):
-    for lowest, scale in (-1.0, "linear"), (1.0, "log"):  # a prediction is seen, too
-        ds = results(x := [1.0, 10.0, 100.0]).assign(y=("x", x), y_predicted=("x", [lowest, *x[1:]]))
-        assert linksweep.plot(ds).axes[0].get_yscale() == scale
-    with pytest.raises(linksweep.SweepError, match="x = 0: a logarithmic axis has only numbers above zero"):
-        linksweep.plot(results([0.0, 1.0, 10.0]), log=["x"])
-    wrong = {"title": "a", "axes": {"sky_contrast": [0.0, 0.5]}, "figure": {"log": ["sky_contrast", "n_obi"]}}
-    with pytest.raises(linksweep.SweepError) as raised:
-        linksweep.run(wrong, tmp_path / "a.zarr")
-    zero = "figure.log.0: sky_contrast = 0.0: a logarithmic axis has only numbers above zero"
-    misspelt = "figure.log.1: 'n_obi' is neither a parameter nor an output; did you mean 'n_obj'?"
-    assert raised.value.problems == [zero, misspelt]
 
 
 @pytest.mark.parametrize("factors", [slow([1.0] * 2), [1.0] * 3, slow([1.0] * 7), [1.0, 1.0, 2.2, 5.0, 11.0, 25.0]])

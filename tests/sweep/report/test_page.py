@@ -95,7 +95,7 @@ def test_before_a_value_exists_nothing_is_concluded(dataset_of, undone):
     assert ("[not done" in page, "Metz, M. &amp; Geffert, M. (2004). " in page) == (False, True)
 
 
-def test_the_view_holds_the_numbers_of_the_dataset_in_their_order(results):
+def test_the_view_holds_numbers_axes_and_integers_exactly_and_knows_what_nobody_asked_for(results, tmp_path):
     actual, used, left_out = explorer(results, ["sigma_spin"], 10**6)
     suffixes = {"value": "", "error": "_mc_error", "predicted": "_rms_predicted"}
     suffixes |= {name: f"_{name}" for name in ("published", "published_rounding")}
@@ -112,9 +112,6 @@ def test_the_view_holds_the_numbers_of_the_dataset_in_their_order(results):
             np.testing.assert_allclose(values, factors * array, rtol=1e-12, err_msg=view["name"])
     assert (used, left_out) == (0, [])
     assert {"component_unit"}.isdisjoint(axis["name"] for axis in actual["axes"])
-
-
-def test_the_view_has_axes_and_integers_exactly_and_knows_what_nobody_asked_for(tmp_path):
     jd = [2460000.0 + 0.1 * i for i in range(11)]
     lit = {"experiment": lambda jd, k: {"n": 2**60 + k, "small": 123456780 + k}, "axes": {"jd": jd, "k": [1, 2]}}
     actual, *_ = explorer(linksweep.run(lit, tmp_path / "s.zarr", pool="serial"), [], 10**6)

@@ -28,7 +28,7 @@ def run(store, progress=None, **sampling):
     return linksweep.run(levels, store, sampling={"n_sim": 100, "seed": 3, "precision": 0.01} | sampling, **how)
 
 
-def test_every_point_gets_what_it_needs_and_not_much_more(tmp_path, sweep_here):
+def test_every_point_gets_what_it_needs_and_stopped_anywhere_it_goes_on_to_the_same_numbers(tmp_path, sweep_here):
     dataset = run(tmp_path / "s.zarr")
     assert np.all(dataset["level_mean_mc_error"] <= 0.01 * dataset["level_mean"])
     needed, done = (np.array([0.01, 1.0, 10.0]) / 10.0 / 0.01) ** 2, dataset["n_sim_done"].values  # the law of the mean
@@ -43,19 +43,15 @@ def test_every_point_gets_what_it_needs_and_not_much_more(tmp_path, sweep_here):
     assert files_of(tmp_path / "most.zarr") == before
     for words in ("show", "status"):
         assert "warning: 1 of 3 points did not reach precision = 0.01" in sweep_here(words, tmp_path / "most.zarr")[1]
-
-
-def test_stopped_anywhere_or_of_a_coarser_precision_it_goes_on_to_the_same_numbers(tmp_path):
-    whole = run(tmp_path / "whole.zarr")
-    run(tmp_path / "s.zarr", precision=0.05)
+    run(tmp_path / "t.zarr", precision=0.05)
     for error in (KeyboardInterrupt, RuntimeError):
-        before = len(OpenStore(tmp_path / "s.zarr").ledger().rows)
+        before = len(OpenStore(tmp_path / "t.zarr").ledger().rows)
         with pytest.raises(error):
-            run(tmp_path / "s.zarr", Stopping(2, error))
-        assert len(OpenStore(tmp_path / "s.zarr").ledger().rows) > before
-    same(run(tmp_path / "s.zarr"), whole)
-    assert run(tmp_path / "s.zarr", precision=0.05)["n_sim_done"].equals(whole["n_sim_done"])
-    assert linksweep.open(tmp_path / "s.zarr").attrs["precision"] == 0.01
+            run(tmp_path / "t.zarr", Stopping(2, error))
+        assert len(OpenStore(tmp_path / "t.zarr").ledger().rows) > before
+    same(run(tmp_path / "t.zarr"), dataset)
+    assert run(tmp_path / "t.zarr", precision=0.05)["n_sim_done"].equals(dataset["n_sim_done"])
+    assert linksweep.open(tmp_path / "t.zarr").attrs["precision"] == 0.01
 
 
 @pytest.mark.parametrize(("first", "then"), OTHERS)

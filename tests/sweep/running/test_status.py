@@ -57,7 +57,7 @@ def f(x: int):
 FIRST_CALL = "called = []", "called or called.append(time.sleep(1.0))"
 
 
-def test_points_that_nobody_asked_for_and_failures_that_left_a_store_are_told(sweep, tmp_path):
+def test_points_that_nobody_asked_for_and_failures_are_told_and_all_are_counted(sweep, tmp_path):
     (tmp_path / "f.py").write_text("def f(a: int, b: int = 1):\n    return a // (a - 3) + b\n")
     said = []
     for options in ("--axis a=1:5:1", "--axis a=7 --axis b=2", "--axis a=1,2 --only"):
@@ -67,21 +67,18 @@ def test_points_that_nobody_asked_for_and_failures_that_left_a_store_are_told(sw
     assert "finished: 5 of 6 points done, 1 failed" in said[1][0]
     assert "(s.zarr): finished" in said[1][1]
     assert ["ZeroDivisionError" in watched for _, watched in said] == [True, True, False]
-
-
-def test_all_failed_points_are_counted_and_a_terminal_says_why(sweep, tmp_path):
     text = "def f(a: int):\n    if a > 1:\n        raise ValueError('even' if a % 2 == 0 else 'odd')\n    return a\n"
     (tmp_path / "f.py").write_text(text)
-    code, _, err = sweep("run", "f.py:f", "--axis", "a=1:401:1", "-o", "s.zarr", "-q", cwd=tmp_path)
+    code, _, err = sweep("run", "f.py:f", "--axis", "a=1:401:1", "-o", "t.zarr", "-q", cwd=tmp_path)
     reasons = "400 points failed: 200 like ValueError: even, for example at a=2; 200 like ValueError: odd, for"
     assert (code, reasons in " ".join(err.split())) == (1, True)
-    failures = json.loads(sweep("status", "s.zarr", "--json", cwd=tmp_path)[1])["failures"]
+    failures = json.loads(sweep("status", "t.zarr", "--json", cwd=tmp_path)[1])["failures"]
     assert list(failures) == [f"a={a}" for a in range(2, 402)]
-    words = " ".join(sweep("status", "s.zarr", cwd=tmp_path)[1].split())
+    words = " ".join(sweep("status", "t.zarr", cwd=tmp_path)[1].split())
     assert "finished: 1 of 401 points done, 400 failed" in words
     assert reasons.replace(";", "") in words
-    assert "next: sweep run --retry s.zarr" in words
-    assert len(OpenStore(tmp_path / "s.zarr").attributes["failures"]) < 12_000
+    assert "next: sweep run --retry t.zarr" in words
+    assert len(OpenStore(tmp_path / "t.zarr").attributes["failures"]) < 12_000
 
 
 def test_a_finished_run_writes_what_is_not_as_it_would_write_it_once(tmp_path, coins):
@@ -119,7 +116,7 @@ def run_f(tmp_path, sweep_here):
     return run
 
 
-def test_quiet_prints_the_table_and_errors_verbose_each_point_and_the_log_has_everything(run_f, tmp_path):
+def test_quiet_verbose_and_logged_runs_say_what_they_should_and_count_work(run_f, tmp_path, sweep_here, monkeypatch):
     code, out, err = run_f("--quiet", fails="False")
     assert (code, err, "f_mean" in out) == (0, "", True)
     code, _, err = run_f("-q", "--fresh")
@@ -134,11 +131,8 @@ def test_quiet_prints_the_table_and_errors_verbose_each_point_and_the_log_has_ev
     assert first.count("Traceback (most recent call last)") == first.count("raise ValueError(f") == 1
     run_f("--log", "run.log")
     assert (tmp_path / "run.log").read_text().startswith(first)
-
-
-def test_a_run_that_goes_on_counts_its_work_as_its_points(run_f, sweep_here, tmp_path, monkeypatch):
     monkeypatch.setattr(progress, "LINE_LAST_S", -1.0)
-    run_f("--set", "n_sim=10", fails="False")
+    run_f("--set", "n_sim=10", "--fresh", fails="False")
     more = ("--set", "n_sim=10", "--pool", "serial", "-o", "s.zarr")
     err = sweep_here("run", "f.py:f", "--axis", "x=0:9:1", *more, cwd=tmp_path)[2]
     lines = re.findall(r"(\d+)/10 points \((\d+) % of the work", err)

@@ -84,7 +84,7 @@ def test_no_command_runs_what_a_store_names(evil, sweep, tmp_path, command):
         assert marker.exists()
 
 
-def test_a_store_from_elsewhere_asks_once(coin_store, tmp_path, coins, sweep, monkeypatch):
+def test_a_store_from_elsewhere_asks_and_so_do_its_functions(coin_store, tmp_path, coins, sweep, monkeypatch, store_of):
     (tmp_path / "x.py").write_text(COINS)
     run(coins | {"experiment": f"{tmp_path / 'x.py'}:experiment"}, tmp_path / "s.zarr")
     point, copy = ("--at", "metal=tin,coins=5"), tmp_path / "copy.zarr"
@@ -99,9 +99,6 @@ def test_a_store_from_elsewhere_asks_once(coin_store, tmp_path, coins, sweep, mo
         with monkeypatch.context() as patch:
             patch.setattr(who, lambda: "another")
             assert "coins.py, and the store was not written here" in sweep("reproduce", coin_store, *point, code=2)[2]
-
-
-def test_code_of_our_own_asks_nothing_but_functions_that_a_study_defines_do(tmp_path, store_of, sweep):
     store = tmp_path / "q.zarr"
     shutil.copytree(store_of("quasars"), store)
     point = ("reproduce", store, "--at", "model=gaia,v_max=14")

@@ -72,7 +72,7 @@ def test_many_rows_at_once_are_in_several_files(path, coins, monkeypatch):
     assert len(files_of(path)) > 8
 
 
-def test_of_two_who_write_one_ledger_the_second_is_refused(path, coins):
+def test_of_two_who_write_one_ledger_the_second_is_refused_and_so_is_another_meaning(path, coins):
     one, other = create_or_resume(path, coins), create_or_resume(path, coins)
     for store, start in ((one, 0), (other, 5)):
         store.append(*rows(5, start))
@@ -80,9 +80,6 @@ def test_of_two_who_write_one_ledger_the_second_is_refused(path, coins):
     with pytest.raises(SweepError, match="changed by others, during this run"):
         other.flush()
     assert len(existing_store(path, coins).rows) == 5
-
-
-def test_another_meaning_is_refused_with_the_differences(path, coins):
     create_or_resume(path, coins)
     for change, words in (
         ({"sampling": {"n_sim": 1000, "n_cat": 20, "seed": 8}}, "seed: 7 in the store, 8 in the study"),

@@ -382,16 +382,7 @@ def test_paths_with_observations_take_the_place_of_rows_with_accelerations(tmp_p
     assert links[0].attrs["misfit"] == ""
 
 
-def test_text_in_a_file_is_never_run(tmp_path):
-    linked(tmp_path, drawn(1, ["5"] * 3), form="csv")
-    path, run = tmp_path / "scans.csv", f"__import__('pathlib').Path('{tmp_path}/ran').touch()"
-    path.write_text(re.sub(r'"\(.*?"', f'"{run}"', path.read_text(), count=1))
-    with pytest.raises(linksweep.SweepError, match="cannot be read as epoch astrometry"):
-        linksweep.tie(tmp_path / "gaia.fits", tmp_path / "vlbi.fits", epochs=[path])
-    assert not (tmp_path / "ran").exists()
-
-
-def test_the_command_takes_files_after_epochs(tmp_path, sweep):
+def test_the_command_takes_files_after_epochs_and_text_in_them_is_never_run(tmp_path, sweep):
     sky = drawn(2, ["5", "7", "5", "5"], bend=0.2)
     whole = linked(tmp_path, sky, star_models={str(sky.satellite["source_id"][1]): "7"})
     half = len(sky.scans) // 2
@@ -403,6 +394,12 @@ def test_the_command_takes_files_after_epochs(tmp_path, sweep):
     assert json.loads(out)  # nothing else is printed there
     np.testing.assert_allclose(linksweep.open(tmp_path / "tie.zarr").estimate, whole.estimate, rtol=1e-6, atol=1e-9)
     assert "one.fits" in sweep("tie", "gaia.fits", "vlbi.fits", "one.fits", cwd=tmp_path, code=2)[2]
+    linked(tmp_path, drawn(1, ["5"] * 3), form="csv")
+    path, run = tmp_path / "scans.csv", f"__import__('pathlib').Path('{tmp_path}/ran').touch()"
+    path.write_text(re.sub(r'"\(.*?"', f'"{run}"', path.read_text(), count=1))
+    with pytest.raises(linksweep.SweepError, match="cannot be read as epoch astrometry"):
+        linksweep.tie(tmp_path / "gaia.fits", tmp_path / "vlbi.fits", epochs=[path])
+    assert not (tmp_path / "ran").exists()
 
 
 def test_studies_and_forecasts_have_the_errors_of_the_transits(tmp_path):
