@@ -309,8 +309,7 @@ def test_groups_explain_the_adjusted_share(seed, groups, n):
     chance = inside / np.sum((y - y.mean()) ** 2) * (groups - 1) / (n - groups)
     spread = linksweep.sensitivity(even)
     assert spread["first"].values[0] == pytest.approx(share + 0.5 * chance, abs=1e-9)
-    squares = spread["first_error"].values[0] ** 2 - result["first_error"].values[0] ** 2
-    assert squares == pytest.approx((0.5 * chance) ** 2, rel=1e-6, abs=1e-12)
+    assert spread["first_error"].values[0] == result["first_error"].values[0]  # both have the scatter of this chance
 
 
 @several
