@@ -436,25 +436,37 @@ def _serve(channel: Connection, words: IO[bytes]) -> None:
     faulthandler.enable(words, all_threads=False)  # prints where the code was when the process ends
     faulthandler.register(signal.SIGALRM, words, all_threads=False, chain=True)
     deadlines = worker.Deadlines()
-    # Where blocks leave their files open, another process takes the place of this one halfway to the most that may be.
-    most = (channel.fileno() + resource.getrlimit(resource.RLIMIT_NOFILE)[0]) // 2
+    number, most = channel.fileno(), resource.getrlimit(resource.RLIMIT_NOFILE)[0]
+    is_filled = partial(_is_filled, number, (number + most) // 2)
     with suppress(EOFError):
-        while (message := channel.recv()) is not None:
-            for result in _results(deadlines, *message):
+        while not is_filled() and (message := channel.recv()) is not None:
+            for result in _results(deadlines, is_filled, *message):
                 channel.send(result)
             channel.send(None)
-            with suppress(OSError):  # no file is left
-                os.close(lowest := os.dup(channel.fileno()))
-                if lowest < most:
-                    continue
-            break
 
 
-def _results(deadlines: worker.Deadlines, task: Task, careful: bool) -> Iterator[TaskResult]:
-    """Yield the results of a task: several as one, or if ``careful`` each unit as soon as it is done."""
+def _is_filled(number: int, most: int) -> bool:
+    """Return whether blocks have left so many files open, besides that of this number, that another process is to take
+    the place of this one.
+    """
+    try:
+        os.close(lowest := os.dup(number))
+    except OSError:  # no file is left
+        return True
+    return lowest > most
+
+
+def _results(
+    deadlines: worker.Deadlines, is_filled: Callable[[], bool], task: Task, careful: bool
+) -> Iterator[TaskResult]:
+    """Yield the results of a task: several as one, or if ``careful`` each unit as soon as it is done.  The last units
+    have none where this process is filled.
+    """
     ready, sent = list[TaskResult](), time.monotonic()
     for result in worker.run_units(task, deadlines, apart=careful):
         ready.append(result)
+        if is_filled():
+            break
         if careful or time.monotonic() > sent + SEND_EVERY_S:
             yield TaskResult.joined(ready)
             ready, sent = [], time.monotonic()
