@@ -411,10 +411,10 @@ def _by_position(satellite: AstrometricTable, reference: AstrometricTable, radiu
     epochs = np.where(np.isfinite(rows.epoch), rows.epoch, np.inf)
     known = epochs[np.isfinite(epochs)]
     years = np.inf, known.min(initial=np.inf), known.max(initial=-np.inf)
-    own, *ends = (_directions(sources, np.full(len(sources), year)) for year in years)
+    start, *ends = (_directions(sources, np.full(len(sources), year)) for year in years)
     # twice as far as sources move on straight lines: others move little more, or within an arcsecond
-    reach = 2.0 * chord + ARCSEC + 2.0 * max(np.linalg.norm(end - own, axis=0).max() for end in ends)
-    tree = cKDTree(own.T)
+    reach = 2.0 * chord + ARCSEC + 2.0 * max(np.linalg.norm(end - start, axis=0).max() for end in ends)
+    tree = cKDTree(start.T)
     for epoch in np.unique(epochs):  # the sources move, so that each epoch has a tree of its own
         at = np.flatnonzero(epochs == epoch)
         there, near = triad(*rows.values[:2, at]).r.T, np.arange(len(sources))

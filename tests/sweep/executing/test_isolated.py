@@ -204,9 +204,9 @@ def test_where_no_process_may_be_forked_a_new_one_computes_the_same(tmp_path, mo
 
 def test_many_children_have_the_files_that_the_system_allows_and_go_where_their_blocks_leave_many_open(tmp_path):
     leaves = "globals().setdefault('left', []).extend(open(os.devnull) for _ in range(100)); time.sleep(0.03)"
-    of = f"{written(tmp_path, leaves, *range(99))} --axis x=0:98:1"
-    run_it = f"{sys.executable} -m linksweep run {of} --workers 12 -o s.zarr"
-    subprocess.run(["sh", "-c", f"ulimit -Sn 40; exec {run_it}"], cwd=tmp_path, check=True)
+    points = f"{written(tmp_path, leaves, *range(99))} --axis x=0:98:1"
+    run_them = f"{sys.executable} -m linksweep run {points} --workers 12 -o s.zarr"
+    subprocess.run(["sh", "-c", f"ulimit -Sn 40; exec {run_them}"], cwd=tmp_path, check=True)
 
 
 @pytest.mark.parametrize("number", [slow(signal.SIGINT), signal.SIGKILL])
