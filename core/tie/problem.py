@@ -888,7 +888,8 @@ def clipped(clip: Clip, sources: Sources) -> Clipped:
         return _one_by_one(sources, clip.number)
     if clip.kind == "median":
         return _reweighted(sources, partial(_median_factors, clip.number))
-    sigma = np.sqrt(sources.expected / np.maximum(sources.count, 1.0))  # of equal weights these are no sigmas
+    # of equal weights these are no sigmas; rounding is all that a source without observations has
+    sigma = np.sqrt(np.maximum(sources.expected, 0.0) / np.maximum(sources.count, 1.0))
     return _reweighted(sources, partial(_huber_factors, clip.number * sigma))
 
 

@@ -158,10 +158,11 @@ class Children:
     def _that_answer(self, busy: Iterable["_Child"]) -> list["_Child"]:
         """Return which children have answered or ended; end those that overfill their memory."""
         channels: dict[Any, _Child] = {child.channel: child for child in busy}
+        ready = wait(list(channels), LOOK_EVERY_S)
         before, self._looked = self._looked, time.monotonic()
-        for child in busy if self._looked > before + worker.GRACE_S else ():
+        for child in channels.values() if self._looked > before + LOOK_EVERY_S + worker.GRACE_S else ():
             child.trial.was_stopped = True
-        if ready := wait(list(channels), LOOK_EVERY_S):
+        if ready:
             return [channels[channel] for channel in ready]
         for child in busy:
             child.end_if_overfull()
