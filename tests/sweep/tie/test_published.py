@@ -57,6 +57,7 @@ def test_the_amplitudes_are_the_field_that_was_fitted():
     fitted = (link.difference - link.residual).sel(observable=["ra", "dec"]).values.T
     ra, dec = np.radians([link[name].values[link.row_source_index.values] for name in ("ra", "dec")])
     np.testing.assert_allclose(field(link.amplitude.to_series(), ra, dec), fitted, atol=1e-9)
+    assert {*link.amplitude_unit.values} == {"mas"}
     other = linksweep.tie("icrf3", "icrf2", "vsh_position:2", sign="satellite-reference")
     np.testing.assert_array_equal(other.amplitude, -link.amplitude)
     # The norm of the harmonics (Mignard & Klioner 2012): order 0 of degree 2 is sqrt(15/32 pi) sin 2 dec.
