@@ -24,7 +24,7 @@ from scipy.interpolate import make_interp_spline
 
 from linksweep.sweep.analysis import quantity
 from linksweep.sweep.analysis.tables import derived
-from linksweep.sweep.contract import FEWEST_SAMPLES, Array, Parameter, Status, SweepError
+from linksweep.sweep.contract import FEWEST_SAMPLES, Array, Parameter, Status, SweepError, small_sample_factor
 from linksweep.sweep.formatting import units_of
 from linksweep.sweep.studies.points import DESIGNS, MORRIS_LEVELS, read_range, salib, unit_cube
 from linksweep.sweep.studies.study import POINT, POINT_TABLE
@@ -318,7 +318,7 @@ def _by_salib(
     """Return results of SALib by their ``keys``, with bootstrap errors enlarged as so few samples need it: their
     scatter is divided by n, not n - 1.
     """
-    widened = math.sqrt(samples / (samples - 3.0)) if samples >= FEWEST_SAMPLES else math.nan
+    widened = np.sqrt(small_sample_factor(samples) * samples / max(samples - 1, 1))
     options |= {"num_resamples": RESAMPLES, "conf_level": ONE_SIGMA, "seed": seed + 1}  # SALib takes 0 for no seed
     with warnings.catch_warnings(action="ignore"):  # SALib warns that there are no groups
         estimated = salib(f"analyze.{method}").analyze(unit_cube(parameters), *data, **options)

@@ -158,9 +158,12 @@ def difference(link: xr.Dataset, other: xr.Dataset) -> xr.Dataset:
         parts = [np.linalg.solve(covariance, part) for part in covariances]
         inverse = 0.0  # of the degrees of freedom of a sum, Krishnamoorthy and Yu 2004
         for one, part in zip((link, other), parts, strict=True):
-            square, number = np.trace(part @ part), float(one.samples[0]) if "samples" in one else np.nan
-            is_scaled = one.error.attrs["kind"] == "scaled"  # all of it by one number
-            inverse += 2.0 * square / float(one.dof) if is_scaled else (square + np.trace(part) ** 2) / (number - 1.0)
+            square = np.trace(part @ part)
+            if one.error.attrs["kind"] == "scaled":  # all of it by one number
+                inverse += 2.0 * square / float(one.dof)
+            else:
+                number = float(one.samples[0]) if "samples" in one else np.nan
+                inverse += (square + np.trace(part) ** 2) / (number - 1.0)
         samples = 1.0 + len(both) * (len(both) + 1) / inverse if inverse else np.inf
     return xr.Dataset(
         {
